@@ -1,0 +1,121 @@
+"""A pinhole camera, and what cropping, resizing and flipping its image does to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import CameraError
+
+D415_HORIZONTAL_FOV_DEG = 69.4
+"""Nominal horizontal field of view of the RealSense D415's colour camera, degrees (datasheet)."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Describe a pinhole camera without distortion.
+
+    The camera frame is x right, y down, z forward. Pixel (0, 0) is the centre of the top-left
+    pixel: X = (u - cx) * Z / fx.
+
+    Parameters
+    ----------
+    fx, fy : float
+        Focal lengths, pixels, positive.
+    cx, cy : float
+        Principal point, pixels; it may lie outside the image.
+    width, height : int
+        Image size, pixels.
+
+    Raises
+    ------
+    CameraError
+        A number is not finite, or a focal length or a size is not positive.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        for name in ("fx", "fy", "cx", "cy"):
+            value = float(getattr(self, name))
+            if not math.isfinite(value) or (name in ("fx", "fy") and value <= 0):
+                expected = "a positive number" if name in ("fx", "fy") else "a finite number"
+                raise CameraError(f"camera: expected {expected} for {name}, found {value:g}")
+            object.__setattr__(self, name, value)
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if int(size) != size or size <= 0:
+                raise CameraError(f"camera: expected a positive integer for {name}, found {size!r}")
+            object.__setattr__(self, name, int(size))
+
+    @classmethod
+    def from_fov(cls, horizontal_fov_deg: float, width: int, height: int) -> Camera:
+        """Build the camera with square pixels, the image's centre and this field of view."""
+        if not 0 < horizontal_fov_deg < 180:
+            raise CameraError(
+                f"camera: expected a field of view in (0, 180) deg, found {horizontal_fov_deg:g}"
+            )
+        focal = width / 2 / math.tan(math.radians(horizontal_fov_deg) / 2)
+        return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+
+    @classmethod
+    def from_matrix(cls, matrix: npt.ArrayLike, width: int, height: int) -> Camera:
+        """Build from K, (3, 3), pixels; skew must be 0 and the last row (0, 0, 1)."""
+        k = np.asarray(matrix, dtype=np.float64)
+        if k.shape != (3, 3):
+            raise CameraError(f"camera: expected a (3, 3) matrix, found shape {k.shape}")
+        if k[0, 1] != 0 or k[1, 0] != 0 or not np.array_equal(k[2], (0, 0, 1)):
+            raise CameraError(
+                f"camera: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], found {k.tolist()}"
+            )
+        return cls(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
+
+    @property
+    def matrix(self) -> npt.NDArray[np.float64]:
+        """K as (3, 3) float64, pixels."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width), as an image array of this camera has it."""
+        return self.height, self.width
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers by name, as a camera file holds them."""
+        names = ("fx", "fy", "cx", "cy", "width", "height")
+        return {name: getattr(self, name) for name in names}
+
+    def crop(self, top: int, left: int, height: int, width: int) -> Camera:
+        """Return the camera of the window that starts at pixel (left, top)."""
+        inside = 0 <= top <= top + height <= self.height and 0 <= left <= left + width <= self.width
+        if not inside or height <= 0 or width <= 0:
+            raise CameraError(
+                f"camera: expected a window inside {self.width}x{self.height}, "
+                f"found {width}x{height} at ({left}, {top})"
+            )
+        return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
+
+    def resize(self, height: int, width: int) -> Camera:
+        """Return the camera of the image resized to (height, width), outer edges aligned."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(self.cx + 0.5) * sx - 0.5,
+            cy=(self.cy + 0.5) * sy - 0.5,
+            width=width,
+            height=height,
+        )
+
+    def flip(self) -> Camera:
+        """Return the camera of the image mirrored left to right."""
+        return replace(self, cx=self.width - 1 - self.cx)

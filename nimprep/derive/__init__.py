@@ -1,0 +1,1 @@
+"""What is computed from depth: a checked public function per module, kernels beneath."""
