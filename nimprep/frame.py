@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
 
-ModalityName = Literal["rgb", "depth", "normal", "hha", "label"]
+MODALITIES: tuple[str, ...] = ("rgb", "depth", "normal", "hha", "label")
+"""Every image a frame can hold, in the order in which they are listed everywhere."""
 
 IGNORE_LABEL = 255
 """Label of pixels that take part in no statistic: padding, or outside an evaluated area."""
+
+
+@dataclass(frozen=True)
+class LabelClass:
+    """Name one value of the label image and the colour it is drawn in, (R, G, B) of 0-255."""
+
+    id: int
+    name: str
+    color: tuple[int, int, int]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,97 @@
+"""Where a reader's camera comes from: a file, the user, or a data sheet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nimprep.camera import D415_HORIZONTAL_FOV_DEG, Camera
+from nimprep.errors import CameraError
+from nimprep.readers.base import CalibrationOrigin
+from nimprep.schema import check_json, read_json
+
+
+@dataclass(frozen=True)
+class CameraSource:
+    """Give the camera for an image size.
+
+    Attributes
+    ----------
+    origin : {"file", "user", "nominal"}
+    where : str
+        The file, or what to call it in a message.
+    intrinsics : (fx, fy, cx, cy), pixels, optional
+        None = the nominal RealSense D415 colour camera at the image's size.
+    size : (height, width), optional
+        The only image size the intrinsics hold for; None = not said.
+    baseline_m : float
+        Stereo baseline, metres; NaN = none.
+    """
+
+    origin: CalibrationOrigin
+    where: str
+    intrinsics: tuple[float, float, float, float] | None = None
+    size: tuple[int, int] | None = None
+    baseline_m: float = float("nan")
+
+    def camera(self, height: int, width: int, frame_id: str) -> Camera:
+        """Return the camera of a frame of this size.
+
+        Raises
+        ------
+        CameraError
+            The intrinsics belong to another size.
+        """
+        if self.intrinsics is None:
+            return Camera.from_fov(D415_HORIZONTAL_FOV_DEG, width, height)
+        if self.size is not None and self.size != (height, width):
+            raise CameraError(
+                f"{self.where}: expected a camera of frame {frame_id!r}'s {width}x{height} pixels, "
+                f"found one of {self.size[1]}x{self.size[0]}"
+            )
+        return Camera(*self.intrinsics, width=width, height=height)
+
+
+def nominal_camera() -> CameraSource:
+    """Return the RealSense D415's data-sheet camera: 69.4 degrees wide, square pixels."""
+    return CameraSource("nominal", "nominal RealSense D415")
+
+
+def camera_from_intrinsics(intrinsics: tuple[float, float, float, float]) -> CameraSource:
+    """Return the camera of numbers the user gave: (fx, fy, cx, cy), pixels."""
+    Camera(*intrinsics, width=1, height=1)
+    return CameraSource("user", "--intrinsics", intrinsics)
+
+
+def camera_from_file(path: Path) -> CameraSource:
+    """Read a camera file (schemas/camera.schema.json).
+
+    Raises
+    ------
+    CameraError
+        It is missing, no JSON, or no camera.
+    """
+    return camera_from_document(read_json(path, CameraError), str(path))
+
+
+def camera_from_document(document: Any, where: str) -> CameraSource:
+    """Return the camera of a JSON object (schemas/camera.schema.json).
+
+    Raises
+    ------
+    CameraError
+        It lacks fx, fy, cx or cy, or one is not a number that can be.
+    """
+    check_json(document, "camera", where, CameraError)
+    # A calibration counted from 1 is brought to ours, where the top-left pixel's centre is (0, 0).
+    origin = document.get("pixel_origin", 0)
+    numbers = (
+        float(document["fx"]),
+        float(document["fy"]),
+        float(document["cx"]) - origin,
+        float(document["cy"]) - origin,
+    )
+    Camera(*numbers, width=1, height=1)
+    size = (int(document["height"]), int(document["width"])) if "width" in document else None
+    return CameraSource("file", where, numbers, size, float(document.get("baseline_m", "nan")))

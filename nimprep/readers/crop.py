@@ -1,0 +1,146 @@
+"""Cut the same margins off every frame of a dataset; the camera moves along."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import LayoutError
+from nimprep.frame import MODALITIES, Frame
+from nimprep.readers.base import DatasetInfo, Reader
+from nimprep.splits import SplitName
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Count the pixels to cut off each side of an image."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    def __str__(self) -> str:
+        return f"{self.top},{self.bottom},{self.left},{self.right}"
+
+    def window(self, height: int, width: int) -> tuple[int, int]:
+        """Return (height, width) of what is left.
+
+        Raises
+        ------
+        LayoutError
+            Nothing is left, or a margin is negative.
+        """
+        left_over = height - self.top - self.bottom, width - self.left - self.right
+        if min(left_over) <= 0 or min(self.top, self.bottom, self.left, self.right) < 0:
+            raise LayoutError(
+                f"--crop {self}: expected top,bottom,left,right that leave something of "
+                f"{width}x{height} pixels, found {left_over[1]}x{left_over[0]} left"
+            )
+        return left_over
+
+
+class CroppedReader:
+    """Read another reader's frames with margins cut off."""
+
+    def __init__(self, reader: Reader, margins: Margins) -> None:
+        self._reader = reader
+        self.margins = margins
+        for shape in {reader.shape(frame_id) for frame_id in reader.ids}:
+            margins.window(*shape)
+
+    @property
+    def info(self) -> DatasetInfo:
+        """What holds for every frame; cropping changes none of it."""
+        return self._reader.info
+
+    @property
+    def root(self) -> Path:
+        """The dataset's folder."""
+        return self._reader.root
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Every frame, sorted."""
+        return self._reader.ids
+
+    def group(self, frame_id: str) -> str:
+        """Return the scene the frame belongs to."""
+        return self._reader.group(frame_id)
+
+    def fixed_split(self, frame_id: str) -> SplitName | None:
+        """Return the split the dataset's authors put the frame in."""
+        return self._reader.fixed_split(frame_id)
+
+    def sources(self, frame_id: str) -> tuple[Path, ...]:
+        """Return the files `read` opens for the frame."""
+        return self._reader.sources(frame_id)
+
+    def shape(self, frame_id: str) -> tuple[int, int]:
+        """Return (height, width) after cropping."""
+        return self.margins.window(*self._reader.shape(frame_id))
+
+    def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
+        """Return the frame's window, its camera moved along."""
+        frame = self._reader.read(frame_id, modalities)
+        height, width = self.margins.window(*frame.camera.shape)
+        top, left = self.margins.top, self.margins.left
+        window = np.s_[top : top + height, left : left + width]
+        return replace(
+            frame,
+            camera=frame.camera.crop(top, left, height, width),
+            rgb=None if frame.rgb is None else np.ascontiguousarray(frame.rgb[window]),
+            depth_m=None if frame.depth_m is None else np.ascontiguousarray(frame.depth_m[window]),
+            label=None if frame.label is None else np.ascontiguousarray(frame.label[window]),
+        )
+
+
+def find_invalid_sides(
+    reader: Reader, workers: int, done: Callable[[], None] = lambda: None
+) -> Margins:
+    """Return the sides that have depth in no frame of the dataset: whole rows and columns.
+
+    Reads every frame's depth. GMRP's authors advise to cut these sides before training.
+
+    Parameters
+    ----------
+    done : callable
+        Called after each frame, for a progress bar.
+
+    Raises
+    ------
+    LayoutError
+        The frames differ in size, so that they have no sides in common.
+    """
+    shapes = {reader.shape(frame_id) for frame_id in reader.ids}
+    if len(shapes) > 1:
+        raise LayoutError(
+            f"{reader.root}: expected frames of one size for --crop auto, found {len(shapes)} "
+            "sizes; give the margins as --crop top,bottom,left,right"
+        )
+
+    def valid_sides(frame_id: str) -> tuple[Any, Any]:
+        depth_m = reader.read(frame_id, ("depth",)).depth_m
+        if depth_m is None:
+            raise LayoutError(f"{reader.root}: expected depth for --crop auto, found none")
+        done()
+        return (depth_m > 0).any(axis=1), (depth_m > 0).any(axis=0)
+
+    height, width = shapes.pop()
+    rows, columns = np.zeros(height, dtype=bool), np.zeros(width, dtype=bool)
+    with ThreadPoolExecutor(workers) as pool:
+        for frame_rows, frame_columns in pool.map(valid_sides, reader.ids):
+            rows |= frame_rows
+            columns |= frame_columns
+    return Margins(*_ends(rows), *_ends(columns))
+
+
+def _ends(valid: npt.NDArray[np.bool_]) -> tuple[int, int]:
+    where = np.flatnonzero(valid)
+    return int(where[0]), int(len(valid) - 1 - where[-1])

@@ -1,0 +1,160 @@
+"""The description of a folder dataset: what is where, in which unit, with which camera."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from nimprep.errors import LayoutError
+from nimprep.frame import IGNORE_LABEL, LabelClass
+from nimprep.schema import check_json, read_json
+
+
+@dataclass(frozen=True)
+class Description:
+    """Describe a dataset of one image file per frame and modality.
+
+    Attributes
+    ----------
+    name : str
+        What the store calls the dataset.
+    rgb, depth, label : str
+        Glob patterns below the dataset's folder with one ``{id}``, which may span folders;
+        `label` is None where there are none.
+    depth_scale : float
+        Metres per raw depth unit.
+    depth_invalid : tuple of float
+        Raw values that mean "no depth".
+    classes : tuple of LabelClass
+        What the mapped labels mean.
+    label_map : mapping of raw value, or (r, g, b), to class id; None = labels are class ids
+    label_default : int, optional
+        Class of raw values that the map does not name; None = they are an error.
+    camera : str or dict, optional
+        A camera file (with ``{id}``: one per frame), or the camera's numbers.
+    group : str, optional
+        Pattern over ids with one ``{group}``: the scene.
+    """
+
+    name: str
+    rgb: str
+    depth: str
+    label: str | None = None
+    depth_scale: float = 0.001
+    depth_invalid: tuple[float, ...] = (0,)
+    classes: tuple[LabelClass, ...] = ()
+    label_map: Mapping[int | tuple[int, int, int], int] | None = field(default=None)
+    label_default: int | None = None
+    camera: str | dict[str, Any] | None = None
+    group: str | None = None
+
+
+def description_from_file(path: Path | str) -> Description:
+    """Read a folder description (schemas/folder.schema.json).
+
+    Raises
+    ------
+    LayoutError
+        It is missing, no JSON, or does not fit the schema.
+    """
+    document = read_json(Path(path), LayoutError)
+    check_json(document, "folder", str(path), LayoutError)
+    label = document.get("label")
+    classes = tuple(
+        LabelClass(c["id"], c["name"], (c["color"][0], c["color"][1], c["color"][2]))
+        for c in document.get("classes", [])
+    )
+    known = {c.id for c in classes} | {IGNORE_LABEL}
+    label_map = label_default = None
+    if label is not None:
+        if not classes:
+            raise LayoutError(f"{path}: expected 'classes' beside 'label', found none")
+        if len(known) != len(classes) + 1:
+            raise LayoutError(f"{path}: expected each class id once, found one twice")
+        label_default = label.get("default")
+        if "map" in label:
+            label_map = {_raw_value(key): int(value) for key, value in label["map"].items()}
+        for value in [*(label_map or {}).values(), label_default]:
+            if value is not None and value not in known:
+                raise LayoutError(f"{path}: expected labels mapped to classes, found {value}")
+    depth = document["depth"]
+    return Description(
+        name=document["name"],
+        rgb=document["rgb"],
+        depth=depth["files"],
+        label=None if label is None else label["files"],
+        depth_scale=float(depth["scale_m"]),
+        depth_invalid=tuple(depth.get("invalid", [0])),
+        classes=classes,
+        label_map=label_map,
+        label_default=label_default,
+        camera=document.get("camera"),
+        group=document.get("group"),
+    )
+
+
+def _raw_value(key: str) -> int | tuple[int, int, int]:
+    if key.startswith("#"):
+        return int(key[1:3], 16), int(key[3:5], 16), int(key[5:7], 16)
+    return int(key)
+
+
+def _pattern_regex(pattern: str, placeholder: str, span: str) -> re.Pattern[str]:
+    """Translate a glob pattern: * and ? stay in a folder, ** crosses, {placeholder} captures."""
+    parts = []
+    for token in re.split(r"(\{\w+\}|\*\*/?|\*|\?)", pattern):
+        if token == f"{{{placeholder}}}":
+            parts.append(span)
+        elif token.startswith("**"):
+            parts.append(r"(?:.*/)?" if token.endswith("/") else r".*")
+        else:
+            parts.append({"*": "[^/]*", "?": "[^/]"}.get(token, re.escape(token)))
+    return re.compile("".join(parts))
+
+
+def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
+    """Return {frame id: file} for a pattern with ``{id}``.
+
+    Hidden files and folders are passed over.
+
+    Raises
+    ------
+    LayoutError
+        The pattern leaves the folder, its folder is missing, or two files give one id.
+    """
+    if pattern.count("{id}") != 1 or pattern.startswith("/") or ".." in pattern.split("/"):
+        raise LayoutError(
+            f"{root}: expected a pattern below the folder with one {{id}}, found {pattern!r}"
+        )
+    regex = _pattern_regex(pattern, "id", "(?P<id>.+)")
+    fixed = re.split(r"[^/]*[*?{]", pattern, maxsplit=1)[0]
+    start = root / fixed
+    if not start.is_dir():
+        raise LayoutError(f"{start}: expected a folder with files {pattern!r}, found none")
+    found: dict[str, Path] = {}
+    for folder, subfolders, names in os.walk(start):
+        subfolders[:] = sorted(s for s in subfolders if not s.startswith("."))
+        for name in sorted(n for n in names if not n.startswith(".")):
+            path = Path(folder, name)
+            match = regex.fullmatch(path.relative_to(root).as_posix())
+            if match is None:
+                continue
+            if match["id"] in found:
+                raise LayoutError(
+                    f"{path}: expected one file per id {match['id']!r}, found "
+                    f"{found[match['id']]} too; put more of the path into {{id}}"
+                )
+            found[match["id"]] = path
+    return found
+
+
+def group_of(frame_id: str, pattern: str | None) -> str:
+    """Return the scene in a frame id by a pattern with ``{group}``; "" where it does not fit."""
+    if pattern is None:
+        return ""
+    match = _pattern_regex(pattern, "group", "(?P<group>.+?)").fullmatch(frame_id)
+    return match["group"] if match else ""

@@ -1,0 +1,136 @@
+"""Steps that readers share: pairing files, raw depth to metres, checks on a frame as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import DecodeError, LayoutError
+from nimprep.frame import IGNORE_LABEL, LabelClass
+
+PLAUSIBLE_MEDIAN_M = (0.05, 100.0)
+"""A frame whose median depth lies outside this range, metres, is in another unit."""
+
+
+def match_frames(files: Mapping[str, Mapping[str, Path]], root: Path) -> tuple[str, ...]:
+    """Return the sorted frame ids that every modality has.
+
+    Parameters
+    ----------
+    files : mapping of modality (or folder) name to {frame id: file}
+
+    Raises
+    ------
+    LayoutError
+        There are no frames, or one lacks a modality; it is named.
+    """
+    ids = sorted(set().union(*files.values()))
+    if not ids:
+        raise LayoutError(f"{root}: expected images in {', '.join(files)}, found none")
+    for name, by_id in files.items():
+        missing = [i for i in ids if i not in by_id]
+        if missing:
+            have = next(by_id[missing[0]] for by_id in files.values() if missing[0] in by_id)
+            raise LayoutError(
+                f"{root}: expected {name} for every frame, found none for frame {missing[0]!r} "
+                f"(which has {have.relative_to(root) if have.is_relative_to(root) else have}; "
+                f"{len(missing)} of {len(ids)} frames lack {name})"
+            )
+    return tuple(ids)
+
+
+def depth_in_metres(
+    raw: npt.NDArray[Any],
+    path: Path,
+    *,
+    scale_m: float,
+    invalid: Sequence[float],
+    check_unit: bool,
+) -> npt.NDArray[np.float32]:
+    """Return raw depth as float32 metres, 0 = none.
+
+    Parameters
+    ----------
+    raw : (H, W) uint16 or floating
+        As decoded; NaN is none.
+    scale_m : float
+        Metres per raw unit.
+    invalid : sequence of float
+        Raw values that mean "no depth".
+    check_unit : bool
+        Refuse a median outside `PLAUSIBLE_MEDIAN_M`.
+
+    Raises
+    ------
+    DecodeError
+        No pixel has depth, one is negative or infinite, or the unit is plainly another.
+    """
+    none = raw == 0
+    for value in invalid:
+        none |= raw == value
+    if np.issubdtype(raw.dtype, np.floating):
+        none |= np.isnan(raw)
+        valid = raw[~none]
+        if valid.size and (not np.isfinite(valid).all() or valid.min() < 0):
+            raise DecodeError(f"{path}: expected finite depth >= 0, found {_worst(valid):g}")
+    # Dividing by a whole number keeps 1500 mm at exactly 1.5 m; multiplying by 0.001 does not.
+    per_metre = round(1 / scale_m)
+    whole = abs(1 / scale_m - per_metre) < 1e-6 * per_metre
+    depth_m = raw / np.float32(per_metre) if whole else raw * np.float32(scale_m)
+    depth_m = depth_m.astype(np.float32, copy=False)
+    depth_m[none] = 0
+    valid = depth_m[depth_m > 0]
+    if valid.size == 0:
+        raise DecodeError(f"{path}: expected depth, found no pixel that has any")
+    low, high = PLAUSIBLE_MEDIAN_M
+    # Some 20,000 pixels tell the unit as well as all of them, at a hundredth of the time.
+    median = float(np.median(valid[:: max(1, valid.size // 20_000)]))
+    if check_unit and not low <= median <= high:
+        raise DecodeError(
+            f"{path}: expected a median depth of {low:g} to {high:g} m, found {median:g} m at "
+            f"{scale_m:g} m per unit; give the right one with --depth-scale"
+        )
+    return depth_m
+
+
+def _worst(valid: npt.NDArray[Any]) -> float:
+    return float(valid[~np.isfinite(valid)][0] if not np.isfinite(valid).all() else valid.min())
+
+
+def check_label(
+    label: npt.NDArray[Any], classes: Sequence[LabelClass], path: Path
+) -> npt.NDArray[np.uint8]:
+    """Return the label image after checking that it holds class ids and 255 only.
+
+    Raises
+    ------
+    DecodeError
+        It has colours, or another value.
+    """
+    if label.ndim != 2:
+        raise DecodeError(f"{path}: expected class ids in one channel, found a colour image")
+    known = [c.id for c in classes] + [IGNORE_LABEL]
+    found = np.flatnonzero(np.bincount(label.reshape(-1)))
+    unknown = [int(value) for value in found if value not in known]
+    if unknown:
+        raise DecodeError(
+            f"{path}: expected labels {known}, found {unknown[0]}; "
+            "describe other classes with a folder description, or use --no-labels"
+        )
+    return label.astype(np.uint8, copy=False)
+
+
+def check_same_shape(images: Mapping[Path, npt.NDArray[Any]]) -> None:
+    """Raise `DecodeError` where a frame's images differ in height or width."""
+    first = next(iter(images))
+    for path, image in images.items():
+        if image.shape[:2] != images[first].shape[:2]:
+            (h, w), (h0, w0) = image.shape[:2], images[first].shape[:2]
+            raise DecodeError(
+                f"{path}: expected {w0}x{h0} pixels like {first.name} in {first.parent.name}/, "
+                f"found {w}x{h}"
+            )

@@ -1,0 +1,51 @@
+"""GMRP's own layout (Wang et al., IROS 2020), and datasets that copy it::
+
+gmrp/
+  rgb/000001.png         8-bit colour
+  depth_u16/000001.png   16-bit, millimetres; 0 and 65535 = no depth
+  label/000001.png       8-bit: 0 background, 1 drivable area, 2 road anomaly
+  depth_u8/              ignored: for looking at only
+  camera.json            optional; GMRP itself ships no calibration
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from nimprep.frame import LabelClass
+from nimprep.readers.cameras import CameraSource
+from nimprep.readers.description import Description
+from nimprep.readers.folder import FolderReader
+
+GMRP = Description(
+    name="gmrp",
+    rgb="rgb/{id}.png",
+    depth="depth_u16/{id}.png",
+    label="label/{id}.png",
+    depth_scale=0.001,
+    depth_invalid=(0, 65535),
+    classes=(
+        LabelClass(0, "background", (0, 0, 0)),
+        LabelClass(1, "drivable area", (0, 200, 0)),
+        LabelClass(2, "road anomaly", (220, 0, 0)),
+    ),
+)
+
+
+def open_gmrp(
+    root: Path | str,
+    *,
+    labels: bool = True,
+    camera: CameraSource | None = None,
+    depth_scale: float | None = None,
+) -> FolderReader:
+    """Open a folder in GMRP's layout.
+
+    Parameters are those of `FolderReader`. Without a camera, camera.json is taken where there is
+    one, else the nominal RealSense D415, which the dataset was recorded with.
+    """
+    description = GMRP
+    if (Path(root) / "camera.json").is_file():
+        description = replace(description, camera="camera.json")
+    return FolderReader(root, description, labels=labels, camera=camera, depth_scale=depth_scale)

@@ -1,0 +1,179 @@
+"""Who is train, val and test: pure functions over frame ids."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from nimprep.errors import SplitError
+from nimprep.schema import check_json, read_json
+
+SplitName = Literal["train", "val", "test"]
+
+SPLIT_CODES: dict[str, int] = {"train": 0, "val": 1, "test": 2, "none": 255}
+"""How a store's `split` array writes each split."""
+
+SPLIT_NAMES: dict[int, str] = {code: name for name, code in SPLIT_CODES.items()}
+
+
+def held_out_count(total: int) -> int:
+    """Return the size of val, and of test: min(ceil(0.15 N), floor(N / 3))."""
+    return min(math.ceil(15 * total / 100), total // 3)
+
+
+def hash_order(names: Iterable[str], seed: int = 0) -> list[str]:
+    """Order names by SHA-256 of "{seed}:{name}": the same on every machine and in any version."""
+    return sorted(names, key=lambda name: hashlib.sha256(f"{seed}:{name}".encode()).digest())
+
+
+def split_by_frame(ids: Sequence[str], seed: int = 0) -> dict[str, SplitName]:
+    """Split frames in hash order: val first, then as many for test, the rest train.
+
+    3896 frames give 2726 train, 585 val and 585 test, GMRP's own sizes (Wang et al., IROS 2020).
+    """
+    count = held_out_count(len(ids))
+    ordered = hash_order(ids, seed)
+    val, test = set(ordered[:count]), set(ordered[count : 2 * count])
+    return {i: "val" if i in val else "test" if i in test else "train" for i in ids}
+
+
+def split_by_group(groups: Mapping[str, str], seed: int = 0) -> dict[str, SplitName]:
+    """Split whole scenes, so that no scene has frames in two splits.
+
+    Scenes are taken in hash order, for val and then for test, as long as each brings the split
+    nearer to the number of frames the default rule gives it (at least one scene each); one scene
+    at least is left for train.
+
+    Parameters
+    ----------
+    groups : mapping of frame id to scene
+
+    Raises
+    ------
+    SplitError
+        A frame has no scene, or there are fewer than three scenes.
+    """
+    nameless = [i for i, group in groups.items() if not group]
+    if nameless:
+        raise SplitError(
+            f"{nameless[0]}: expected a group to split by, found none "
+            f"({len(nameless)} of {len(groups)} frames); split by frame or use a split file"
+        )
+    sizes = Counter(groups.values())
+    if len(sizes) < 3:
+        raise SplitError(
+            f"split by group: expected at least 3 groups, found {len(sizes)}; split by frame"
+        )
+    target = held_out_count(len(groups))
+    queue = hash_order(sizes, seed)
+    chosen: dict[str, SplitName] = {}
+    held_out: tuple[SplitName, ...] = ("val", "test")
+    for later, name in ((1, held_out[0]), (0, held_out[1])):
+        count = 0
+        # What stays in the queue must do for the splits still to come and for train.
+        while len(queue) > later + 1:
+            after = count + sizes[queue[0]]
+            if count and abs(after - target) >= abs(count - target):
+                break
+            chosen[queue.pop(0)] = name
+            count = after
+    return {i: chosen.get(group, "train") for i, group in groups.items()}
+
+
+def assign_splits(
+    groups: Mapping[str, str],
+    rule: Literal["frame", "group", "stratified"] = "frame",
+    seed: int = 0,
+    fixed: Mapping[str, SplitName] | None = None,
+) -> dict[str, SplitName]:
+    """Give every frame its split.
+
+    Parameters
+    ----------
+    groups : mapping of frame id to scene
+        Every frame, in order.
+    rule : {"frame", "group", "stratified"}
+        By frame; by whole scenes; or by frame within each scene, so that each split holds the
+        same share of every scene (KITTI road's categories).
+    seed : int
+        Another seed gives another order.
+    fixed : mapping of frame id to split, optional
+        Frames whose split the dataset's authors chose. Where some are fixed as test, the others
+        are split into train and val only.
+    """
+    fixed = dict(fixed or {})
+    free = {i: group for i, group in groups.items() if i not in fixed}
+    if rule == "group":
+        chosen = split_by_group(free, seed) if free else {}
+    else:
+        strata: dict[str, list[str]] = {}
+        for i, group in free.items():
+            strata.setdefault(group if rule == "stratified" else "", []).append(i)
+        chosen = {}
+        for members in strata.values():
+            chosen.update(split_by_frame(members, seed))
+    if "test" in fixed.values():
+        chosen = {i: "train" if split == "test" else split for i, split in chosen.items()}
+    return {i: fixed.get(i) or chosen[i] for i in groups}
+
+
+def count_splits(splits: Iterable[str]) -> dict[str, int]:
+    """Count frames per split: train, val and test always, none where there are any."""
+    counts = Counter(splits)
+    names = [name for name in SPLIT_CODES if name != "none" or counts["none"]]
+    return {name: counts[name] for name in names}
+
+
+def splits_from_file(path: Path | str, ids: Sequence[str]) -> dict[str, str]:
+    """Read a split file (schemas/split.schema.json) for these frames.
+
+    Frames that the file does not name get "none".
+
+    Raises
+    ------
+    SplitError
+        The file is not a split file, names a frame twice or one that is not there.
+    """
+    document = read_json(Path(path), SplitError)
+    check_json(document, "split", str(path), SplitError)
+    splits = dict.fromkeys(ids, "none")
+    named: set[str] = set()
+    for name in ("train", "val", "test"):
+        for frame_id in document[name]:
+            if frame_id not in splits:
+                raise SplitError(
+                    f"{path}: expected ids of the dataset's {len(ids)} frames, "
+                    f"found {frame_id!r} in {name!r}; check the file belongs to this dataset"
+                )
+            if frame_id in named:
+                raise SplitError(f"{path}: expected each frame once, found {frame_id!r} twice")
+            named.add(frame_id)
+            splits[frame_id] = name
+    return splits
+
+
+def split_document(splits: Mapping[str, str]) -> dict[str, Any]:
+    """Return what a split file holds for these frames, ids in order."""
+    document: dict[str, Any] = {"format": "nimprep-split", "version": "1.0"}
+    for name in ("train", "val", "test"):
+        document[name] = [i for i, split in splits.items() if split == name]
+    return document
+
+
+def write_split_file(path: Path | str, splits: Mapping[str, str]) -> None:
+    """Write the splits as JSON that `splits_from_file` reads back.
+
+    Raises
+    ------
+    SplitError
+        The file cannot be written.
+    """
+    try:
+        Path(path).write_text(json.dumps(split_document(splits), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SplitError(f"{path}: expected a writable file, found {error.strerror}") from error
