@@ -10,17 +10,31 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nimprep.camera import Camera as Camera
+    from nimprep.conversion.options import ConvertOptions as ConvertOptions
+    from nimprep.conversion.run import convert as convert
+    from nimprep.derive.completion import fill_depth as fill_depth
+    from nimprep.derive.hha import encode_hha as encode_hha
+    from nimprep.derive.hha import estimate_gravity as estimate_gravity
     from nimprep.derive.normals import estimate_normals as estimate_normals
     from nimprep.errors import NimprepError as NimprepError
     from nimprep.frame import Frame as Frame
+    from nimprep.store.reader import Store as Store
+    from nimprep.store.reader import open_store as open_store
 
 __version__ = "0.1.0"
 
 _HOME = {
     "Camera": "nimprep.camera",
+    "ConvertOptions": "nimprep.conversion.options",
     "Frame": "nimprep.frame",
     "NimprepError": "nimprep.errors",
+    "Store": "nimprep.store.reader",
+    "convert": "nimprep.conversion.run",
+    "encode_hha": "nimprep.derive.hha",
+    "estimate_gravity": "nimprep.derive.hha",
     "estimate_normals": "nimprep.derive.normals",
+    "fill_depth": "nimprep.derive.completion",
+    "open_store": "nimprep.store.reader",
 }
 
 __all__ = ["__version__", *_HOME]

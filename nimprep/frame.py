@@ -15,6 +15,9 @@ MODALITIES: tuple[str, ...] = ("rgb", "depth", "normal", "hha", "label")
 IGNORE_LABEL = 255
 """Label of pixels that take part in no statistic: padding, or outside an evaluated area."""
 
+MAX_PIXELS = 1 << 26
+"""Images of more pixels are refused before anything is allocated for them (67 megapixels)."""
+
 
 @dataclass(frozen=True)
 class LabelClass:
@@ -25,7 +28,7 @@ class LabelClass:
     color: tuple[int, int, int]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """Hold one time step.
 

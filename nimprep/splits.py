@@ -18,6 +18,9 @@ SplitName = Literal["train", "val", "test"]
 SPLIT_CODES: dict[str, int] = {"train": 0, "val": 1, "test": 2, "none": 255}
 """How a store's `split` array writes each split."""
 
+SPLIT_RULES = ("frame", "group", "stratified")
+"""By frame; by whole scenes; by frame within each scene."""
+
 SPLIT_NAMES: dict[int, str] = {code: name for name, code in SPLIT_CODES.items()}
 
 
@@ -87,7 +90,7 @@ def split_by_group(groups: Mapping[str, str], seed: int = 0) -> dict[str, SplitN
 
 def assign_splits(
     groups: Mapping[str, str],
-    rule: Literal["frame", "group", "stratified"] = "frame",
+    rule: str = "frame",
     seed: int = 0,
     fixed: Mapping[str, SplitName] | None = None,
 ) -> dict[str, SplitName]:
@@ -105,7 +108,14 @@ def assign_splits(
     fixed : mapping of frame id to split, optional
         Frames whose split the dataset's authors chose. Where some are fixed as test, the others
         are split into train and val only.
+
+    Raises
+    ------
+    SplitError
+        There is no such rule, or it does not fit the frames.
     """
+    if rule not in SPLIT_RULES:
+        raise SplitError(f"split rule: expected one of {', '.join(SPLIT_RULES)}, found {rule!r}")
     fixed = dict(fixed or {})
     free = {i: group for i, group in groups.items() if i not in fixed}
     if rule == "group":

@@ -12,9 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError
-
-MAX_PIXELS = 1 << 26
-"""Images of more pixels are refused before anything is allocated for them (67 megapixels)."""
+from nimprep.frame import MAX_PIXELS
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_KINDS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGBA"}

@@ -1,0 +1,66 @@
+"""The command line: options, progress and exit codes; everything else is imported when needed."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+from typing import Any, NoReturn
+
+import click
+
+from nimprep import __version__
+from nimprep.errors import NimprepError
+
+_COMMANDS = {
+    "convert": ("nimprep.cli.convert", "Turn a raw dataset into a store."),
+    "info": ("nimprep.cli.inspect", "Show what a store holds."),
+    "validate": ("nimprep.cli.inspect", "Check a store; exit 1 where something is wrong."),
+    "split": ("nimprep.cli.split", "Show, export or change who is train, val and test."),
+    "synth": ("nimprep.cli.synth", "Make a synthetic dataset in GMRP's layout."),
+    "demo": ("nimprep.cli.synth", "Try it all on data made on the spot."),
+    "kitti": ("nimprep.cli.kitti", "KITTI road: depth, bird's-eye view, scores, submission."),
+}
+"""Each command's module, imported when it is called, and its line in the help."""
+
+
+class _LazyGroup(click.Group):
+    """Import a command's module only when it is called, and print data errors as one line."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        command: click.Command = getattr(importlib.import_module(_COMMANDS[cmd_name][0]), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("default", UserWarning)
+                warnings.showwarning = _show_warning
+                return super().invoke(ctx)
+        except NimprepError as error:
+            fail(str(error))
+
+
+def _show_warning(message: Warning | str, *rest: Any, **named: Any) -> None:
+    click.echo(f"warning: {message}", err=True)
+
+
+def fail(message: str) -> NoReturn:
+    """Print one line to stderr and exit 1: the data is bad."""
+    click.echo("error: " + " ".join(message.split()), err=True)
+    sys.exit(1)
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, "--version", prog_name="nimprep")
+def main() -> None:
+    """Turn RGB-D road datasets into fast, checked multimodal Zarr stores."""

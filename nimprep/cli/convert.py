@@ -1,0 +1,147 @@
+"""nimprep convert."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
+from nimprep.frame import MODALITIES
+
+if TYPE_CHECKING:
+    from nimprep.conversion.options import ConvertOptions
+    from nimprep.readers.cameras import CameraSource
+
+
+def _crop(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    if value is None or value == "auto":
+        return value
+    from nimprep.readers.crop import Margins
+
+    return Margins(*parse_numbers(value, "top,bottom,left,right", int))
+
+
+def _intrinsics(
+    ctx: click.Context, param: click.Parameter, value: str | None
+) -> tuple[float, float, float, float] | None:
+    if value is None:
+        return None
+    fx, fy, cx, cy = parse_numbers(value, "fx,fy,cx,cy", float)
+    return fx, fy, cx, cy
+
+
+def _modalities(
+    ctx: click.Context, param: click.Parameter, value: str | None
+) -> tuple[str, ...] | None:
+    if value is None:
+        return None
+    names = tuple(name.strip() for name in value.split(","))
+    for name in names:
+        if name not in MODALITIES:
+            raise click.BadParameter(f"expected some of {', '.join(MODALITIES)}, found {name!r}")
+    return names
+
+
+@click.command()
+@click.argument("src", type=click.Path(path_type=Path))
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--reader", default="auto", metavar="NAME", help="gmrp, folder; default: by layout.")
+@click.option(
+    "--description",
+    type=click.Path(path_type=Path),
+    help="JSON description of a folder dataset (schemas/folder.schema.json).",
+)
+@click.option("--camera", type=click.Path(path_type=Path), help="Camera file, JSON.")
+@click.option(
+    "--intrinsics", callback=_intrinsics, metavar="FX,FY,CX,CY", help="Camera as numbers, pixels."
+)
+@click.option(
+    "--crop",
+    callback=_crop,
+    metavar="auto|T,B,L,R",
+    help="Cut sides that have depth in no frame, or so many pixels: top,bottom,left,right.",
+)
+@click.option("--no-labels", is_flag=True, help="Convert without labels.")
+@click.option(
+    "--depth-scale", type=click.FloatRange(0, min_open=True), help="Metres per raw depth unit."
+)
+@click.option(
+    "--modalities", callback=_modalities, help="Comma-separated; default: all that can be had."
+)
+@click.option("--sign-filter", is_flag=True, help="Normals by NIM with its sign filter.")
+@click.option(
+    "--normal-dtype", type=click.Choice(["int8", "int16"]), default="int8", show_default=True
+)
+@click.option(
+    "--codec",
+    type=click.Choice(["fast", "small"]),
+    default="fast",
+    show_default=True,
+    help="fast to read, or small for archives.",
+)
+@click.option(
+    "--split-by",
+    type=click.Choice(["frame", "group", "stratified"]),
+    help="Split frames, whole scenes, or frames within each scene; default: frame.",
+)
+@click.option("--split-file", type=click.Path(path_type=Path), help="Split by this JSON file.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the split.")
+@click.option("--shard-length", type=click.IntRange(1, 4096), help="Frames per shard.")
+@click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
+@click.option("--overwrite", is_flag=True, help="Replace a complete store.")
+@quiet_option
+def convert(src: Path, out: Path, quiet: bool, **given: Any) -> None:
+    """Turn the raw dataset SRC into the store OUT.
+
+    SRC is never written to. OUT is complete or not there. What the store holds is printed at the
+    end: look at the depth's percentiles to see that the unit is right.
+    """
+    if given["camera"] and given["intrinsics"]:
+        raise click.UsageError("expected --camera or --intrinsics, found both")
+    if given["split_file"] and given["split_by"]:
+        raise click.UsageError("expected --split-file or --split-by, found both")
+    import nimprep
+    from nimprep.store.info import info_text, store_info
+
+    nimprep.convert(src, out, _options(given), progress=progress_bars(quiet))
+    click.echo(info_text(store_info(out)))
+
+
+def _options(given: dict[str, Any]) -> ConvertOptions:
+    from nimprep.conversion.options import ConvertOptions
+    from nimprep.derive.modalities import Recipe
+    from nimprep.readers import ReaderOptions
+    from nimprep.store.spec import SHARD_LENGTH
+
+    return ConvertOptions(
+        reader=given["reader"],
+        source=ReaderOptions(
+            labels=not given["no_labels"],
+            camera=_camera(given),
+            depth_scale=given["depth_scale"],
+            description=given["description"],
+        ),
+        crop=given["crop"],
+        modalities=given["modalities"],
+        recipe=Recipe(sign_filter=given["sign_filter"]),
+        normal_dtype=given["normal_dtype"],
+        codec=given["codec"],
+        split_by=given["split_by"],
+        split_file=given["split_file"],
+        seed=given["seed"],
+        shard_length=given["shard_length"] or SHARD_LENGTH,
+        workers=given["workers"],
+        overwrite=given["overwrite"],
+    )
+
+
+def _camera(given: dict[str, Any]) -> CameraSource | None:
+    from nimprep.readers.cameras import camera_from_file, camera_from_intrinsics
+
+    if given["camera"]:
+        return camera_from_file(given["camera"])
+    if given["intrinsics"]:
+        return camera_from_intrinsics(given["intrinsics"])
+    return None

@@ -1,0 +1,52 @@
+"""nimprep split."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("store", type=click.Path(path_type=Path))
+@click.option(
+    "--export", "export_file", type=click.Path(path_type=Path), help="Write a split file."
+)
+@click.option(
+    "--import", "import_file", type=click.Path(path_type=Path), help="Split by this file."
+)
+@click.option(
+    "--split-by",
+    type=click.Choice(["frame", "group", "stratified"]),
+    help="Split anew: frames, whole scenes, or frames within each scene.",
+)
+@click.option("--seed", type=int, help="Split anew with another order.")
+def split(
+    store: Path,
+    export_file: Path | None,
+    import_file: Path | None,
+    split_by: str | None,
+    seed: int | None,
+) -> None:
+    """Show how many frames of STORE are train, val and test; or split them anew, in place.
+
+    Images are never touched. A split file names each split's frame ids
+    (schemas/split.schema.json).
+    """
+    anew = split_by is not None or seed is not None
+    if import_file is not None and anew:
+        raise click.UsageError("expected --import or --split-by/--seed, found both")
+    from nimprep.splits import count_splits, write_split_file
+    from nimprep.store.reader import open_store
+    from nimprep.store.resplit import resplit
+
+    if import_file is not None:
+        splits = resplit(store, split_file=import_file)
+    elif anew:
+        splits = resplit(store, rule=split_by, seed=seed or 0)
+    else:
+        splits = open_store(store).splits
+    for name, count in count_splits(splits.values()).items():
+        click.echo(f"{name:<6}{count:>8}{count / len(splits):>8.1%}")
+    if export_file is not None:
+        write_split_file(export_file, splits)

@@ -1,0 +1,123 @@
+"""One frame from reader to chunks: check, derive, quantise, pad, compress."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.camera import Camera
+from nimprep.derive.modalities import DERIVED, Recipe, derive
+from nimprep.errors import DecodeError
+from nimprep.frame import Frame
+from nimprep.readers.base import Reader
+from nimprep.store.frames import (
+    depth_from_millimetres,
+    depth_to_millimetres,
+    normals_to_integers,
+)
+from nimprep.store.shards import encode_chunk
+from nimprep.store.writer import StoreLayout
+
+
+@dataclass(frozen=True)
+class EncodedFrame:
+    """Hold what a frame adds to a store.
+
+    Attributes
+    ----------
+    chunks : dict of modality to bytes
+    camera : Camera
+    group : str
+    baseline_m : float
+    cam_to_road : (3, 4) float64
+        NaN where there is none.
+    depth_counts : (65536,) int64
+        Pixels per depth in millimetres.
+    digest : str
+        SHA-256 of the frame's source files.
+    """
+
+    chunks: dict[str, bytes]
+    camera: Camera
+    group: str
+    baseline_m: float
+    cam_to_road: npt.NDArray[np.float64]
+    depth_counts: npt.NDArray[np.int64]
+    digest: str
+
+
+def source_digest(reader: Reader, frame_id: str) -> str:
+    """Return the SHA-256 of a frame's source files, names and contents."""
+    digest = hashlib.sha256()
+    for path in reader.sources(frame_id):
+        name = path.relative_to(reader.root) if path.is_relative_to(reader.root) else path.name
+        digest.update(f"{name}\0".encode())
+        try:
+            with path.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+        except OSError as error:
+            raise DecodeError(
+                f"{path}: expected a readable file, found {error.strerror}"
+            ) from error
+    return digest.hexdigest()
+
+
+def _padded(image: npt.NDArray[Any], shape: tuple[int, ...], fill: int) -> npt.NDArray[Any]:
+    if image.shape == shape:
+        return image
+    padded = np.full(shape, fill, dtype=image.dtype)
+    padded[: image.shape[0], : image.shape[1]] = image
+    return padded
+
+
+def encode_frame(
+    reader: Reader, frame_id: str, layout: StoreLayout, recipe: Recipe
+) -> EncodedFrame:
+    """Read one frame and make everything a store holds of it, on the calling thread alone.
+
+    Raises
+    ------
+    DecodeError
+        A file is damaged or holds what cannot be; it is named.
+    """
+    wanted = set(layout.modalities)
+    if wanted & set(DERIVED):
+        wanted.add("depth")
+    frame = reader.read(frame_id, wanted)
+    stored: dict[str, npt.NDArray[Any]] = {}
+    counts = np.zeros(65536, dtype=np.int64)
+    if frame.depth_m is not None:
+        stored["depth"] = depth_to_millimetres(frame.depth_m)
+        counts = np.bincount(stored["depth"].reshape(-1), minlength=65536)
+        # From here on depth is what the store says it is: what is derived can be made again.
+        frame = replace(frame, depth_m=depth_from_millimetres(stored["depth"]))
+    derived = derive(frame, wanted, recipe)
+    if "normal" in derived:
+        stored["normal"] = normals_to_integers(derived["normal"], layout.normal_dtype)
+    copied = {"rgb": frame.rgb, "label": frame.label}
+    stored.update({name: image for name, image in copied.items() if image is not None})
+    return EncodedFrame(
+        chunks=_chunks(frame, stored, layout),
+        camera=frame.camera,
+        group=frame.group,
+        baseline_m=frame.baseline_m,
+        cam_to_road=np.full((3, 4), np.nan) if frame.cam_to_road is None else frame.cam_to_road,
+        depth_counts=counts,
+        digest=source_digest(reader, frame_id),
+    )
+
+
+def _chunks(
+    frame: Frame, stored: dict[str, npt.NDArray[Any]], layout: StoreLayout
+) -> dict[str, bytes]:
+    chunks = {}
+    for name in layout.modalities:
+        if name not in stored:
+            raise DecodeError(f"frame {frame.id!r}: expected {name}, found none")
+        image = _padded(stored[name], layout.image_shape(name), int(layout.spec(name).fill))
+        chunks[name] = encode_chunk(image, layout.chunk_codec(name))
+    return chunks

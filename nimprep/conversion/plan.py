@@ -1,0 +1,107 @@
+"""What a conversion will write, decided before it writes anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from nimprep import __version__
+from nimprep.conversion.options import ConvertOptions
+from nimprep.derive.modalities import DERIVED
+from nimprep.errors import LayoutError, StoreError
+from nimprep.frame import MODALITIES
+from nimprep.readers import Reader
+from nimprep.readers.crop import CroppedReader, Margins
+from nimprep.splits import SplitName, assign_splits, splits_from_file
+from nimprep.store.spec import FORMAT_VERSION
+from nimprep.store.writer import StoreLayout
+
+
+def check_apart(source: Path, target: Path) -> None:
+    """Raise `StoreError` where writing the target would write into the source."""
+    a, b = source.resolve(), target.resolve()
+    if a == b or b.is_relative_to(a) or a.is_relative_to(b):
+        raise StoreError(
+            f"{target}: expected a target apart from the source {source}, found one within the "
+            "other; choose another place"
+        )
+
+
+def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
+    """Fix the store's shape from the frames' headers and the options.
+
+    Raises
+    ------
+    LayoutError
+        A modality is asked for that there is not.
+    """
+    available = ["rgb", "depth", *DERIVED, *(["label"] if reader.info.classes else [])]
+    asked = options.modalities or tuple(available)
+    for name in asked:
+        if name not in available:
+            hint = "; it has no labels here" if name == "label" else ""
+            raise LayoutError(
+                f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}"
+            )
+    shapes = {reader.shape(frame_id) for frame_id in reader.ids}
+    return StoreLayout(
+        frames=len(reader.ids),
+        height=max(height for height, _ in shapes),
+        width=max(width for _, width in shapes),
+        modalities=tuple(m for m in MODALITIES if m in asked),
+        classes=reader.info.classes if "label" in asked else (),
+        normal_dtype=options.normal_dtype,
+        codec=options.codec,
+        shard_length=options.shard_length,
+    )
+
+
+def fixed_splits(reader: Reader) -> dict[str, SplitName]:
+    """Return the frames whose split the dataset's authors chose."""
+    return {i: split for i in reader.ids if (split := reader.fixed_split(i)) is not None}
+
+
+def split_rule(reader: Reader, options: ConvertOptions) -> str:
+    """Return the rule to split by where no file does."""
+    return options.split_by or ("stratified" if fixed_splits(reader) else "frame")
+
+
+def plan_splits(reader: Reader, options: ConvertOptions) -> list[str]:
+    """Return each frame's split, in the reader's order."""
+    if options.split_file is not None:
+        splits = splits_from_file(options.split_file, reader.ids)
+        return [splits[i] for i in reader.ids]
+    fixed = fixed_splits(reader)
+    rule = split_rule(reader, options)
+    groups = {i: reader.group(i) for i in reader.ids}
+    assigned = assign_splits(groups, rule, options.seed, fixed)
+    return [assigned[i] for i in reader.ids]
+
+
+def describe(reader: Reader, layout: StoreLayout, options: ConvertOptions) -> dict[str, Any]:
+    """Return the `nimprep` object of the store's root, as far as it is known beforehand."""
+    rule = {"rule": split_rule(reader, options), "seed": options.seed}
+    fixed: dict[str, list[str]] = {}
+    for frame_id, split in fixed_splits(reader).items():
+        fixed.setdefault(split, []).append(frame_id)
+    modalities: dict[str, Any] = {m: options.recipe.describe(m) for m in layout.modalities}
+    if "normal" in modalities:
+        modalities["normal"]["dtype"] = layout.normal_dtype
+    margins = reader.margins if isinstance(reader, CroppedReader) else Margins(0, 0, 0, 0)
+    return {
+        "format_version": FORMAT_VERSION,
+        "tool_version": __version__,
+        "dataset": reader.info.name,
+        "classes": [{"id": c.id, "name": c.name, "color": list(c.color)} for c in layout.classes],
+        "modalities": modalities,
+        "calibration": {"origin": reader.info.calibration},
+        "crop": {
+            "top": margins.top,
+            "bottom": margins.bottom,
+            "left": margins.left,
+            "right": margins.right,
+        },
+        "codec": layout.codec,
+        "split": {"rule": "file"} if options.split_file else rule,
+        **({"fixed_splits": fixed} if fixed else {}),
+    }

@@ -1,0 +1,232 @@
+"""Scores of a segmentation, from pure arrays.
+
+Two families: a confusion matrix of class ids (IoU, F-score, precision and recall per class), and
+counts of confidences against a binary truth (precision-recall curve, MaxF, average precision).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import ArrayError
+from nimprep.frame import IGNORE_LABEL
+
+Counts = npt.NDArray[np.int64]
+Scores = npt.NDArray[np.float64]
+
+LEVELS = 256
+"""Confidences are counted at 0/255, 1/255 ... 255/255, which are also the thresholds tried."""
+
+_RECALLS = np.arange(11) * 0.1
+"""0, 0.1 ... 1 as floating point gives them (0.3 is 0.30000000000000004): the official scores
+compare recall with these, so a recall of exactly 3/10 does not reach the fourth point."""
+
+
+def confusion_matrix(
+    label: npt.NDArray[np.integer],
+    prediction: npt.NDArray[np.integer],
+    classes: int,
+    ignore: int = IGNORE_LABEL,
+) -> Counts:
+    """Count pixels by true and predicted class; matrices of several frames add up.
+
+    Parameters
+    ----------
+    label, prediction : integer arrays of one shape
+        Class ids 0 to classes - 1. Pixels whose *label* is `ignore` are left out.
+    classes : int
+        How many there are.
+
+    Returns
+    -------
+    (classes, classes) int64
+        Rows: the label; columns: the prediction.
+
+    Raises
+    ------
+    ArrayError
+        Shapes differ, the arrays hold no integers, or an id outside the classes.
+    """
+    label, prediction = np.asarray(label), np.asarray(prediction)
+    if label.shape != prediction.shape:
+        raise ArrayError(
+            f"prediction: expected the label's shape {label.shape}, found {prediction.shape}"
+        )
+    for name, array in (("label", label), ("prediction", prediction)):
+        if not np.issubdtype(array.dtype, np.integer):
+            raise ArrayError(f"{name}: expected integer class ids, found {array.dtype}")
+    kept = label != ignore
+    truth, guess = label[kept].astype(np.int64), prediction[kept].astype(np.int64)
+    for name, ids in (("label", truth), ("prediction", guess)):
+        wrong = ids[(ids < 0) | (ids >= classes)]
+        if wrong.size:
+            raise ArrayError(f"{name}: expected class ids 0 to {classes - 1}, found {wrong[0]}")
+    counts = np.bincount(truth * classes + guess, minlength=classes * classes)
+    return counts.astype(np.int64, copy=False).reshape(classes, classes)
+
+
+def _ratio(part: npt.NDArray[np.integer], whole: npt.NDArray[np.integer]) -> Scores:
+    """Divide; where there is nothing to divide by, NaN."""
+    result = np.full(np.shape(whole), np.nan)
+    np.divide(part, whole, out=result, where=whole != 0)
+    return result
+
+
+def precision_per_class(confusion: Counts) -> Scores:
+    """Return TP / (TP + FP) per class, (classes,); NaN where a class was never predicted."""
+    return _ratio(np.diag(confusion), confusion.sum(axis=0))
+
+
+def recall_per_class(confusion: Counts) -> Scores:
+    """Return TP / (TP + FN) per class, (classes,); NaN where a class never occurs."""
+    return _ratio(np.diag(confusion), confusion.sum(axis=1))
+
+
+def f_score_per_class(confusion: Counts) -> Scores:
+    """Return 2 TP / (2 TP + FP + FN) per class, (classes,); NaN where neither side has it."""
+    return _ratio(2 * np.diag(confusion), confusion.sum(axis=0) + confusion.sum(axis=1))
+
+
+def iou_per_class(confusion: Counts) -> Scores:
+    """Return TP / (TP + FP + FN) per class, (classes,); NaN where neither side has it."""
+    hits = np.diag(confusion)
+    return _ratio(hits, confusion.sum(axis=0) + confusion.sum(axis=1) - hits)
+
+
+def pixel_accuracy(confusion: Counts) -> float:
+    """Return the share of pixels whose class is right; NaN where nothing was counted."""
+    return float(_ratio(np.trace(confusion)[None], confusion.sum()[None])[0])
+
+
+def count_confidences(
+    confidence: npt.NDArray[np.uint8],
+    positive: npt.NDArray[np.bool_],
+    evaluated: npt.NDArray[np.bool_] | None = None,
+) -> Counts:
+    """Count pixels by truth and confidence; counts of several frames add up.
+
+    Parameters
+    ----------
+    confidence : (H, W) uint8
+        255 = surely positive.
+    positive : (H, W) bool
+        The truth.
+    evaluated : (H, W) bool, optional
+        Which pixels to count; None = all.
+
+    Returns
+    -------
+    (2, 256) int64
+        Row 0 the negatives, row 1 the positives; columns by confidence.
+
+    Raises
+    ------
+    ArrayError
+        The shapes differ, or the confidences are not uint8.
+    """
+    confidence = np.asarray(confidence)
+    if confidence.dtype != np.uint8:
+        raise ArrayError(f"confidence: expected uint8, found {confidence.dtype}")
+    for name, mask in (("positive", positive), ("evaluated", evaluated)):
+        if mask is not None and np.shape(mask) != confidence.shape:
+            raise ArrayError(
+                f"{name}: expected the confidence's shape {confidence.shape}, "
+                f"found {np.shape(mask)}"
+            )
+    cell = confidence + np.uint16(LEVELS) * np.asarray(positive, dtype=bool)
+    if evaluated is not None:
+        cell = cell[np.asarray(evaluated, dtype=bool)]
+    counts = np.bincount(cell.reshape(-1), minlength=2 * LEVELS)
+    return counts.astype(np.int64, copy=False).reshape(2, LEVELS)
+
+
+@dataclass(frozen=True)
+class PrecisionRecallCurve:
+    """Hold what happens at each threshold; a pixel is called positive at or above it.
+
+    Attributes
+    ----------
+    thresholds : (256,) float64
+        k / 255, rising.
+    true_positives, false_positives : (256,) int64
+        Pixels called positive, by truth.
+    positives, negatives : int
+        All counted pixels, by truth.
+    """
+
+    thresholds: Scores
+    true_positives: Counts
+    false_positives: Counts
+    positives: int
+    negatives: int
+
+    @property
+    def precision(self) -> Scores:
+        """TP / (TP + FP); 0 where nothing is called positive."""
+        return np.nan_to_num(
+            _ratio(self.true_positives, self.true_positives + self.false_positives)
+        )
+
+    @property
+    def recall(self) -> Scores:
+        """TP / (TP + FN)."""
+        return self.true_positives / self.positives
+
+    @property
+    def false_positive_rate(self) -> Scores:
+        """FP / (FP + TN); 0 where there are no negatives."""
+        return self.false_positives / max(self.negatives, 1)
+
+    @property
+    def f_score(self) -> Scores:
+        """2 TP / (2 TP + FP + FN), the harmonic mean of precision and recall."""
+        called = self.true_positives + self.false_positives
+        return 2 * self.true_positives / (called + self.positives)
+
+    @property
+    def best(self) -> int:
+        """Index of the highest F-score; the lowest threshold of several."""
+        return int(np.argmax(self.f_score))
+
+    @property
+    def average_precision(self) -> float:
+        """Mean over recalls 0, 0.1 ... 1 of the best precision at that recall or above.
+
+        The 11-point interpolation of PASCAL VOC 2007 (Everingham et al., IJCV 2010, eq. 1-2),
+        which the KITTI road benchmark takes over (Fritsch et al., ITSC 2013).
+        """
+        # Recall falls as the threshold rises, so the thresholds that reach a recall come first.
+        best_so_far = np.maximum.accumulate(self.precision)
+        reached = np.searchsorted(-self.recall, -_RECALLS, side="right")
+        return float(best_so_far[reached - 1].mean())
+
+
+def precision_recall_curve(counts: Counts) -> PrecisionRecallCurve:
+    """Build the curve from counts of confidences.
+
+    Parameters
+    ----------
+    counts : (2, 256) int64
+        As `count_confidences` gives them, summed over frames.
+
+    Raises
+    ------
+    ArrayError
+        Another shape, or no positive was counted: recall means nothing then.
+    """
+    if np.shape(counts) != (2, LEVELS):
+        raise ArrayError(f"counts: expected shape (2, {LEVELS}), found {np.shape(counts)}")
+    at_or_above = np.cumsum(counts[:, ::-1], axis=1)[:, ::-1]
+    negatives, positives = (int(n) for n in at_or_above[:, 0])
+    if positives == 0:
+        raise ArrayError("counts: expected positive pixels, found none; recall is undefined")
+    return PrecisionRecallCurve(
+        thresholds=np.arange(LEVELS) / (LEVELS - 1),
+        true_positives=at_or_above[1],
+        false_positives=at_or_above[0],
+        positives=positives,
+        negatives=negatives,
+    )

@@ -1,0 +1,123 @@
+"""Between a frame in memory and the integers a store holds."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.camera import Camera
+from nimprep.errors import StoreError
+from nimprep.frame import Frame
+from nimprep.store.images import ImageArray
+from nimprep.store.spec import NORMAL_SCALES
+
+MAX_DEPTH_M = 65.535
+"""The farthest depth a store can say, metres; what is farther is stored as none."""
+
+
+def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+    """Round (H, W) float32 metres to uint16 millimetres; beyond `MAX_DEPTH_M` = 0, none."""
+    millimetres: npt.NDArray[np.float32] = np.rint(depth_m * np.float32(1000))
+    millimetres[millimetres > 65535] = 0
+    return millimetres.astype(np.uint16)
+
+
+def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+    """Return (H, W) uint16 millimetres as float32 metres, each the float32 nearest to it."""
+    depth_m: npt.NDArray[np.float32] = np.divide(stored, np.float32(1000), dtype=np.float32)
+    return depth_m
+
+
+def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDArray[Any]:
+    """Return (H, W, 3) float32 unit vectors as int8 or int16; none stays all 0."""
+    from nimprep.derive.kernels import quantisation
+
+    out = np.empty(normal.shape, dtype=dtype)
+    quantisation.normals_to_integers(normal, np.float32(NORMAL_SCALES[dtype]), out)
+    return out
+
+
+def normals_from_integers(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Return (H, W, 3) int8 or int16 as float32 vectors of unit length; all 0 stays."""
+    from nimprep.derive.kernels import quantisation
+
+    out = np.empty(stored.shape, dtype=np.float32)
+    quantisation.normals_from_integers(stored, out)
+    return out
+
+
+class StoredFrame(Frame):
+    """A frame of a store: its chunks are read and checked, and decompressed when asked for.
+
+    So a frame costs what is used of it: rgb, depth and label without the normals, say. Asking for
+    an image that the store lacks gives None, as with any `Frame`.
+    """
+
+    _chunks: dict[str, tuple[ImageArray, bytes | None]]
+    _number: int
+
+    @classmethod
+    def fetch(
+        cls, number: int, arrays: dict[str, ImageArray], camera: Camera, **fields: Any
+    ) -> StoredFrame:
+        """Read a frame's chunks of these arrays and check them.
+
+        Raises
+        ------
+        StoreError
+            A shard is missing, or a checksum does not fit.
+        """
+        frame = cls.__new__(cls)
+        chunks = {name: (array, array.fetch(number)) for name, array in arrays.items()}
+        # What is a cached property below must not be set here, hence no call of __init__.
+        frame.__dict__.update(fields, camera=camera, _chunks=chunks, _number=number)
+        return frame
+
+    def _image(self, name: str) -> npt.NDArray[Any] | None:
+        if name not in self._chunks:
+            return None
+        array, packed = self._chunks[name]
+        height, width = self.camera.shape
+        padded = np.empty(array.shape[1:], dtype=array.dtype)
+        array.decode(packed, padded, self._number)
+        if padded.shape[:2] == (height, width):
+            return padded
+        return np.ascontiguousarray(padded[:height, :width])
+
+    @cached_property
+    def rgb(self) -> npt.NDArray[np.uint8] | None:
+        """Colour, (H, W, 3) uint8."""
+        return self._image("rgb")
+
+    @cached_property
+    def depth_m(self) -> npt.NDArray[np.float32] | None:
+        """Depth, (H, W) float32 metres, 0 = none."""
+        stored = self._image("depth")
+        return None if stored is None else depth_from_millimetres(stored)
+
+    @cached_property
+    def normal(self) -> npt.NDArray[np.float32] | None:
+        """Normals, (H, W, 3) float32 unit vectors, (0, 0, 0) = none."""
+        stored = self._image("normal")
+        return None if stored is None else normals_from_integers(stored)
+
+    @cached_property
+    def hha(self) -> npt.NDArray[np.uint8] | None:
+        """HHA, (H, W, 3) uint8."""
+        return self._image("hha")
+
+    @cached_property
+    def label(self) -> npt.NDArray[np.uint8] | None:
+        """Class ids, (H, W) uint8, 255 = ignore."""
+        return self._image("label")
+
+
+def check_size(size: tuple[int, int], padded: tuple[int, ...], where: str) -> None:
+    """Raise `StoreError` where a frame's size does not fit the padded images."""
+    if not (0 < size[0] <= padded[0] and 0 < size[1] <= padded[1]):
+        raise StoreError(
+            f"{where}: expected a size within {padded[1]}x{padded[0]}, found {size[1]}x{size[0]}"
+        )

@@ -1,0 +1,128 @@
+"""What a store says of itself: one object, printed as JSON or as text."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nimprep.splits import count_splits
+from nimprep.store.reader import Store, open_store
+
+
+def store_info(path: Path | str) -> dict[str, Any]:
+    """Return what a store holds (schemas/info.schema.json).
+
+    Raises
+    ------
+    StoreError
+        There is no store, or it is not complete.
+    """
+    store = open_store(path)
+    attributes, tables = store.attributes, store.tables
+    sizes = Counter((int(h), int(w)) for h, w in tables.image_size)
+    return {
+        "path": str(path),
+        "format_version": attributes["format_version"],
+        "tool_version": attributes["tool_version"],
+        "complete": attributes["complete"],
+        "dataset": attributes["dataset"],
+        "frames": len(store),
+        "sizes": [{"height": h, "width": w, "frames": n} for (h, w), n in sorted(sizes.items())],
+        "classes": attributes["classes"],
+        "modalities": {name: _modality(store, name) for name in store.modalities},
+        "depth_percentiles_m": attributes["depth_percentiles_m"],
+        "calibration": {**attributes["calibration"], **_camera(store)},
+        "crop": attributes["crop"],
+        "codec": attributes["codec"],
+        "split": {**attributes["split"], "frames": count_splits(store.splits.values())},
+        "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
+        "source": attributes["source"],
+    }
+
+
+def _modality(store: Store, name: str) -> dict[str, Any]:
+    array = store.arrays[name]
+    shards = -(-len(array) // array.shard_length)
+    stored = sum(
+        path.stat().st_size for i in range(shards) if (path := array.shard_path(i)).is_file()
+    )
+    raw = int(np.prod(array.shape)) * array.dtype.itemsize
+    return {
+        **store.attributes["modalities"][name],
+        "shape": list(array.shape),
+        "dtype": str(array.dtype),
+        "shard_length": array.shard_length,
+        "bytes": stored,
+        "bytes_uncompressed": raw,
+    }
+
+
+def _camera(store: Store) -> dict[str, Any]:
+    """Return the intrinsics where all frames share them, else null, and the baselines' range."""
+    k = store.tables.intrinsics
+    same = bool((k == k[0]).all())
+    baseline = store.tables.baseline[~np.isnan(store.tables.baseline)]
+    road = ~np.isnan(store.tables.cam_to_road).any(axis=(1, 2))
+    return {
+        "intrinsics": k[0].tolist() if same else None,
+        "baseline_m": [float(baseline.min()), float(baseline.max())] if baseline.size else None,
+        "frames_with_cam_to_road": int(road.sum()),
+    }
+
+
+def info_text(info: dict[str, Any]) -> str:
+    """Return the object of `store_info` as lines for a person."""
+    sizes = ", ".join(f"{s['width']}x{s['height']}" for s in info["sizes"])
+    split = info["split"]
+    counts = ", ".join(f"{name} {count}" for name, count in split["frames"].items())
+    rule = f"by {split['rule']}" + (f", seed {split['seed']}" if "seed" in split else "")
+    rows = [
+        ("store", f"{info['path']} (format {info['format_version']})"),
+        ("dataset", f"{info['dataset']}, {info['frames']} frames of {sizes} pixels"),
+        ("split", f"{counts} ({rule})"),
+        ("depth", _depth_text(info)),
+        ("camera", _camera_text(info)),
+    ]
+    if any(info["crop"].values()):
+        margins = ", ".join(f"{side} {n}" for side, n in info["crop"].items())
+        rows.append(("crop", f"{margins} pixels cut off"))
+    if info["groups"]:
+        rows.append(("groups", f"{len(info['groups'])} scenes"))
+    if info["classes"]:
+        rows.append(("classes", ", ".join(f"{c['id']} {c['name']}" for c in info["classes"])))
+    lines = [f"{name:<9}{text}" for name, text in rows]
+    lines.append("")
+    lines.append(f"{'modality':<10}{'dtype':<8}{'made by':<14}{'MB':>9}{'of raw':>9}")
+    for name, m in info["modalities"].items():
+        share = m["bytes"] / m["bytes_uncompressed"]
+        made = m["method"] if m["method"] != "source" else "copied"
+        megabytes = m["bytes"] / 1e6
+        lines.append(f"{name:<10}{m['dtype']:<8}{made:<14}{megabytes:>9.2f}{share:>8.0%} ".rstrip())
+    return "\n".join(lines)
+
+
+def _depth_text(info: dict[str, Any]) -> str:
+    depth = info["depth_percentiles_m"]
+    if depth is None:
+        return "none"
+    return (
+        f"5 % below {depth['5']:.3f} m, median {depth['50']:.3f} m, 95 % below {depth['95']:.3f} m"
+    )
+
+
+def _camera_text(info: dict[str, Any]) -> str:
+    calibration = info["calibration"]
+    k = calibration["intrinsics"]
+    if k is None:
+        text = "one per frame"
+    else:
+        text = f"fx {k[0][0]:.2f}, fy {k[1][1]:.2f}, cx {k[0][2]:.2f}, cy {k[1][2]:.2f}"
+    origins = {
+        "file": "from a calibration file",
+        "user": "given by the user",
+        "nominal": "nominal, not calibrated",
+    }
+    return f"{text} ({origins[calibration['origin']]})"

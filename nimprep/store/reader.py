@@ -1,0 +1,214 @@
+"""Open a store and read its frames."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.camera import Camera
+from nimprep.errors import StoreError
+from nimprep.frame import MODALITIES, Frame, LabelClass
+from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
+from nimprep.store.frames import StoredFrame, check_size
+from nimprep.store.images import ImageArray
+from nimprep.store.metadata import read_attributes
+from nimprep.store.spec import TABLE_SHAPES, TABLES, image_specs
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Hold what a store says of each frame; every array has the frame first."""
+
+    frame_id: tuple[str, ...]
+    split: npt.NDArray[np.uint8]
+    group: tuple[str, ...]
+    image_size: npt.NDArray[np.int32]
+    intrinsics: npt.NDArray[np.float64]
+    baseline: npt.NDArray[np.float64]
+    cam_to_road: npt.NDArray[np.float64]
+
+
+def read_tables(store: Path) -> Tables:
+    """Read the per-frame arrays of a store.
+
+    Raises
+    ------
+    StoreError
+        One is missing, damaged, of another dtype or of another length than the others.
+    """
+    import zarr
+
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    for name, spec in TABLES.items():
+        try:
+            array = zarr.open_array(store / name, mode="r")
+            if array.ndim != len(spec.dims) or array.shape[1:] != TABLE_SHAPES.get(name, ()):
+                raise StoreError(
+                    f"{store / name}: expected (frame, *{TABLE_SHAPES.get(name, ())}), "
+                    f"found {array.shape}"
+                )
+            # Without this, a chunk that is gone reads as if it were all fill value.
+            if not (store / name / "c").exists():
+                raise StoreError(f"{store / name}: expected its chunk, found none")
+            arrays[name] = np.asarray(array[...])
+        except StoreError:
+            raise
+        # Zarr's codecs raise whatever their libraries do; each is this array's damage.
+        except Exception as error:
+            text = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise StoreError(f"{store / name}: expected a readable array, found {text}") from error
+    lengths = {name: len(values) for name, values in arrays.items()}
+    if len(set(lengths.values())) != 1:
+        raise StoreError(f"{store}: expected tables of one length, found {lengths}")
+    for name in ("split", "image_size", "intrinsics", "baseline", "cam_to_road"):
+        if arrays[name].dtype != TABLES[name].dtype:
+            raise StoreError(
+                f"{store / name}: expected {TABLES[name].dtype}, found {arrays[name].dtype}"
+            )
+    return Tables(
+        frame_id=tuple(str(i) for i in arrays["frame_id"]),
+        split=arrays["split"],
+        group=tuple(str(g) for g in arrays["group"]),
+        image_size=arrays["image_size"],
+        intrinsics=arrays["intrinsics"],
+        baseline=arrays["baseline"],
+        cam_to_road=arrays["cam_to_road"],
+    )
+
+
+class Store:
+    """Read a store's frames by number.
+
+    ``len(store)`` frames; ``store[i]`` is a `Frame` whose images are decompressed when asked for.
+    Safe to share between threads and forked processes, and to pickle.
+
+    Attributes
+    ----------
+    path : Path
+    attributes : dict
+        The `nimprep` object of the store's root (schemas/store.schema.json).
+    ids : tuple of str
+        Frame ids, in the order of the arrays.
+    classes : tuple of LabelClass
+        What the labels mean; empty where the store has none.
+    modalities : tuple of str
+        The images frames have here.
+    tables : Tables
+        What the store says of each frame.
+    arrays : dict of str to ImageArray
+        The image arrays, for reading pixels as they are stored.
+    """
+
+    def __init__(self, path: Path, modalities: Collection[str] | None = None) -> None:
+        self.path = path
+        self.attributes = read_attributes(path)
+        try:
+            self.classes = tuple(
+                LabelClass(c["id"], c["name"], tuple(c["color"]))
+                for c in self.attributes["classes"]
+            )
+            stored = tuple(m for m in MODALITIES if m in self.attributes["modalities"])
+            normal_dtype = self.attributes["modalities"].get("normal", {}).get("dtype", "int8")
+            specs = image_specs(self.classes, normal_dtype)
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            raise StoreError(
+                f"{path}: expected attributes of schema 'store', found {error!r} wrong or missing"
+            ) from error
+        self.modalities = stored if modalities is None else tuple(modalities)
+        for name in self.modalities:
+            if name not in stored:
+                raise StoreError(
+                    f"{path}: expected one of the stored modalities {', '.join(stored)}, "
+                    f"found {name!r}; convert again with --modalities"
+                )
+        self.tables = read_tables(path)
+        self.ids = self.tables.frame_id
+        self.arrays = {name: ImageArray(path, name, specs[name]) for name in self.modalities}
+        for name, array in self.arrays.items():
+            if len(array) != len(self.ids):
+                raise StoreError(
+                    f"{path / name}: expected {len(self.ids)} frames, found {len(array)}"
+                )
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __getitem__(self, number: SupportsIndex) -> Frame:
+        index = operator.index(number)
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"{self.path}: expected a frame below {len(self)}, found {index}")
+        index %= len(self)
+        road = self.tables.cam_to_road[index]
+        return StoredFrame.fetch(
+            index,
+            self.arrays,
+            self.camera(index),
+            id=self.ids[index],
+            group=self.tables.group[index],
+            baseline_m=float(self.tables.baseline[index]),
+            cam_to_road=None if np.isnan(road).any() else road,
+        )
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[i] for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<nimprep store {self.path}: {len(self)} frames, {', '.join(self.modalities)}>"
+
+    def camera(self, number: int) -> Camera:
+        """Return the camera of a frame, of the frame's own size."""
+        height, width = (int(n) for n in self.tables.image_size[number])
+        for array in self.arrays.values():
+            check_size((height, width), array.shape[1:], f"{self.path}: frame {number}")
+        return Camera.from_matrix(self.tables.intrinsics[number], width, height)
+
+    def indices(self, split: str | None = None) -> npt.NDArray[np.int64]:
+        """Return the numbers of a split's frames; None = all.
+
+        Raises
+        ------
+        StoreError
+            There is no split of that name.
+        """
+        if split is None:
+            return np.arange(len(self))
+        if split not in SPLIT_CODES:
+            raise StoreError(
+                f"{self.path}: expected a split of {list(SPLIT_CODES)}, found {split!r}"
+            )
+        return np.flatnonzero(self.tables.split == SPLIT_CODES[split])
+
+    @property
+    def splits(self) -> dict[str, str]:
+        """Each frame id's split: "train", "val", "test" or "none"."""
+        names = (SPLIT_NAMES.get(int(code), "none") for code in self.tables.split)
+        return dict(zip(self.ids, names, strict=True))
+
+
+def open_store(path: Path | str, modalities: Collection[str] | None = None) -> Store:
+    """Open a store for reading.
+
+    Parameters
+    ----------
+    path : path
+        What `convert` wrote.
+    modalities : collection of str, optional
+        Only these images are read; None = all there are.
+
+    Returns
+    -------
+    Store
+        ``len(store)``, ``store[i] -> Frame``, ``store.ids``, ``store.classes``.
+
+    Raises
+    ------
+    StoreError
+        There is no store, it is not complete, of a newer format, or damaged.
+    """
+    return Store(Path(path), modalities)

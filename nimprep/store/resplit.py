@@ -1,0 +1,77 @@
+"""Change who is train, val and test in a store, without touching an image."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nimprep.errors import StoreError
+from nimprep.splits import SPLIT_CODES, SplitName, assign_splits, splits_from_file
+from nimprep.store.metadata import write_attributes
+from nimprep.store.reader import open_store
+
+
+def resplit(
+    path: Path | str,
+    *,
+    split_file: Path | str | None = None,
+    rule: str | None = None,
+    seed: int = 0,
+) -> dict[str, str]:
+    """Split a store's frames anew, by a file or by a rule.
+
+    Parameters
+    ----------
+    split_file : path, optional
+        In place of a rule.
+    rule : {"frame", "group", "stratified"}, optional
+        None = the rule the store was split by last, or by frame where that was a file.
+    seed : int
+
+    Frames whose split the dataset's authors chose keep it under every rule; a file may move them.
+
+    Returns
+    -------
+    dict of frame id to split
+
+    Raises
+    ------
+    SplitError
+        The file or the rule does not fit the frames; the store is as it was.
+    StoreError
+        There is no store, or it cannot be written.
+    """
+    store = open_store(path)
+    if split_file is not None:
+        splits = splits_from_file(split_file, store.ids)
+        described: dict[str, Any] = {"rule": "file"}
+    else:
+        fixed: dict[str, SplitName] = {
+            frame_id: split
+            for split, ids in store.attributes.get("fixed_splits", {}).items()
+            for frame_id in ids
+        }
+        if rule is None:
+            last = store.attributes["split"]["rule"]
+            rule = "frame" if last == "file" else last
+        groups = dict(zip(store.ids, store.tables.group, strict=True))
+        splits = dict(assign_splits(groups, rule, seed, fixed))
+        described = {"rule": rule, "seed": seed}
+    _write(store.path, store.attributes, splits, described)
+    return splits
+
+
+def _write(
+    path: Path, attributes: dict[str, Any], splits: Mapping[str, str], described: dict[str, Any]
+) -> None:
+    import zarr
+
+    codes = np.array([SPLIT_CODES[name] for name in splits.values()], dtype=np.uint8)
+    try:
+        zarr.open_array(path / "split", mode="r+")[...] = codes
+    except OSError as error:
+        raise StoreError(f"{path}: expected to write, found {error.strerror or error}") from error
+    write_attributes(path, {**attributes, "split": described})

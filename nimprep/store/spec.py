@@ -1,0 +1,223 @@
+"""Format 1.0 as data: which arrays a store holds, how they are laid out, coded and described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from nimprep.errors import StoreError
+from nimprep.frame import IGNORE_LABEL, LabelClass
+from nimprep.splits import SPLIT_CODES
+
+FORMAT_VERSION = "1.0"
+
+NORMAL_SCALES = {"int8": 127, "int16": 32767}
+"""A stored normal component is the component times this, rounded."""
+
+COORDINATES = "frame_id split group"
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """Describe one array of a store.
+
+    Attributes
+    ----------
+    dims : tuple of str
+        Dimension names; "frame" first.
+    dtype : str
+        Zarr data type.
+    fill : int or float or str
+        What a pixel, or a frame's entry, is before it is written.
+    attributes : dict
+        CF attributes, which xarray decodes by.
+    """
+
+    dims: tuple[str, ...]
+    dtype: str
+    fill: int | float | str
+    attributes: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ChunkCodec:
+    """Describe how one image is compressed within its chunk: a Zarr v3 codec and its settings."""
+
+    name: str
+    configuration: dict[str, Any]
+
+
+def image_specs(classes: tuple[LabelClass, ...], normal_dtype: str) -> dict[str, ArraySpec]:
+    """Return the image arrays a store of these classes can hold, by modality."""
+    color = ("frame", "y", "x", "channel")
+    plane = ("frame", "y", "x")
+    coordinates = {"coordinates": COORDINATES}
+    ids = [c.id for c in classes]
+    meanings = [c.name.replace(" ", "_") for c in classes]
+    return {
+        "rgb": ArraySpec(
+            color,
+            "uint8",
+            0,
+            {"long_name": "colour", "channels": ["red", "green", "blue"], **coordinates},
+        ),
+        "depth": ArraySpec(
+            plane,
+            "uint16",
+            0,
+            {
+                "long_name": "depth along the optical axis",
+                "units": "m",
+                "scale_factor": 0.001,
+                "_FillValue": 0,
+                **coordinates,
+            },
+        ),
+        "normal": ArraySpec(
+            color,
+            normal_dtype,
+            0,
+            {
+                "long_name": "unit surface normal in the camera frame, towards the camera",
+                "units": "1",
+                "scale_factor": 1 / NORMAL_SCALES[normal_dtype],
+                "channels": ["x right", "y down", "z forward"],
+                "comment": "(0, 0, 0) where there is no depth",
+                **coordinates,
+            },
+        ),
+        "hha": ArraySpec(
+            color,
+            "uint8",
+            0,
+            {
+                "long_name": "HHA",
+                "channels": [
+                    "horizontal disparity",
+                    "height above ground",
+                    "angle with gravity",
+                ],
+                **coordinates,
+            },
+        ),
+        "label": ArraySpec(
+            plane,
+            "uint8",
+            IGNORE_LABEL,
+            {
+                "long_name": "class",
+                "flag_values": [*ids, IGNORE_LABEL],
+                "flag_meanings": " ".join([*meanings, "ignore"]),
+                **coordinates,
+            },
+        ),
+    }
+
+
+TABLES: dict[str, ArraySpec] = {
+    "frame_id": ArraySpec(("frame",), "string", "", {"long_name": "frame id"}),
+    "split": ArraySpec(
+        ("frame",),
+        "uint8",
+        SPLIT_CODES["none"],
+        {
+            "long_name": "split",
+            "flag_values": list(SPLIT_CODES.values()),
+            "flag_meanings": " ".join(SPLIT_CODES),
+        },
+    ),
+    "group": ArraySpec(("frame",), "string", "", {"long_name": "scene"}),
+    "image_size": ArraySpec(
+        ("frame", "size"),
+        "int32",
+        0,
+        {
+            "long_name": "height and width before padding",
+            "units": "pixel",
+            "coordinates": COORDINATES,
+        },
+    ),
+    "intrinsics": ArraySpec(
+        ("frame", "row", "column"),
+        "float64",
+        0.0,
+        {
+            "long_name": "camera matrix K, (0, 0) = centre of the top-left pixel",
+            "units": "pixel",
+            "coordinates": COORDINATES,
+        },
+    ),
+    "baseline": ArraySpec(
+        ("frame",),
+        "float64",
+        "NaN",
+        {"long_name": "stereo baseline", "units": "m", "coordinates": COORDINATES},
+    ),
+    "cam_to_road": ArraySpec(
+        ("frame", "row", "road_column"),
+        "float64",
+        "NaN",
+        {
+            "long_name": "transform from the camera frame of the stored image to the road frame",
+            "units": "m",
+            "coordinates": COORDINATES,
+        },
+    ),
+}
+"""The arrays with one entry per frame, which every store has."""
+
+TABLE_SHAPES: dict[str, tuple[int, ...]] = {
+    "image_size": (2,),
+    "intrinsics": (3, 3),
+    "cam_to_road": (3, 4),
+}
+"""What follows the frame dimension in the tables that have more than one."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Say how a kind of store compresses: a Blosc codec, and which byte order it sees."""
+
+    cname: str
+    clevel: int
+
+
+PRESETS: dict[str, Preset] = {"fast": Preset("lz4hc", 5), "small": Preset("zstd", 9)}
+"""Codec presets, chosen by scripts/benchmark_codecs.py; schemas/README.md has its outcome."""
+
+
+def chunk_codec(preset: str, dtype: str) -> ChunkCodec:
+    """Return the codec of an image array: bytes are shuffled only where values have two.
+
+    Bitshuffle, and shuffling the three channels apart, made real frames larger and slower to read.
+    """
+    typesize = 2 if dtype.endswith("16") else 1
+    return ChunkCodec(
+        "blosc",
+        {
+            "typesize": typesize,
+            "cname": PRESETS[preset].cname,
+            "clevel": PRESETS[preset].clevel,
+            "shuffle": "shuffle" if typesize == 2 else "noshuffle",
+            "blocksize": 0,
+        },
+    )
+
+
+SHARD_LENGTH = 32
+"""Frames per shard: the unit of work and of writing."""
+
+
+def check_version(version: object, where: str) -> None:
+    """Refuse a format that this version cannot read.
+
+    Raises
+    ------
+    StoreError
+        It is newer, or none.
+    """
+    if not isinstance(version, str) or version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
+        raise StoreError(
+            f"{where}: expected store format {FORMAT_VERSION}, found {version!r}; "
+            "a newer nimprep may read it"
+        )

@@ -1,0 +1,189 @@
+"""Check a store: its structure, and with `deep` every pixel of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nimprep.camera import Camera
+from nimprep.errors import NimprepError, StoreError
+from nimprep.schema import schema_problems
+from nimprep.splits import SPLIT_CODES
+from nimprep.store.metadata import read_attributes
+from nimprep.store.reader import Store
+from nimprep.store.shards import read_index
+from nimprep.store.spec import TABLES, image_specs
+
+MAX_PROBLEMS = 100
+"""A report stops after as many problems; a damaged store would otherwise list every pixel."""
+
+
+@dataclass
+class Report:
+    """Gather what is wrong with a store.
+
+    Attributes
+    ----------
+    path : str
+    deep : bool
+        Whether pixels were looked at.
+    frames : int
+        Frames the store says it has; 0 where that cannot be told.
+    problems : list of str
+        One line each, naming array and frame; empty = the store is valid.
+    checks : dict of str to int
+        What was checked, and how many of it.
+    """
+
+    path: str
+    deep: bool
+    frames: int = 0
+    problems: list[str] = field(default_factory=list)
+    checks: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def valid(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+    def add(self, problem: str) -> None:
+        """Note a problem."""
+        if len(self.problems) < MAX_PROBLEMS:
+            self.problems.append(problem)
+
+    def count(self, what: str, number: int = 1) -> None:
+        """Note that something was checked."""
+        self.checks[what] = self.checks.get(what, 0) + number
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as JSON holds it (schemas/validation.schema.json)."""
+        return {
+            "path": self.path,
+            "valid": self.valid,
+            "deep": self.deep,
+            "frames": self.frames,
+            "checks": self.checks,
+            "problems": self.problems,
+        }
+
+
+def validate_store(
+    path: Path | str,
+    *,
+    deep: bool = False,
+    progress: Callable[[str, int], Callable[[], None]] | None = None,
+) -> Report:
+    """Check a store against format 1.0.
+
+    Parameters
+    ----------
+    path : path
+    deep : bool
+        Decode every chunk, check every checksum, labels, normals, padding, and on a sample of
+        frames that derived modalities agree with a recomputation.
+    progress : callable, optional
+        As for `convert`.
+
+    Returns
+    -------
+    Report
+        Damage is reported, not raised.
+
+    Raises
+    ------
+    StoreError
+        There is nothing to check: no store, or one of a newer format.
+    """
+    path = Path(path)
+    report = Report(str(path), deep)
+    attributes = read_attributes(path, complete=False)
+    for problem in schema_problems(attributes, "store"):
+        report.add(f"attributes: {problem}")
+    report.count("documents")
+    if attributes.get("complete") is not True:
+        report.add("attributes: expected complete, found a store whose conversion was cut short")
+    if not report.valid:
+        return report
+    try:
+        store = Store(path)
+    except NimprepError as error:
+        report.add(str(error))
+        return report
+    report.frames = len(store)
+    check_tables(store, report)
+    check_arrays(store, report)
+    if deep and report.valid:
+        from nimprep.store.validate_deep import check_pixels
+
+        check_pixels(store, report, progress)
+    return report
+
+
+def check_tables(store: Store, report: Report) -> None:
+    """Check ids, splits, groups, sizes and cameras of every frame."""
+    tables = store.tables
+    if len(store) == 0:
+        report.add("frame_id: expected at least one frame, found none")
+    if len(set(store.ids)) != len(store.ids) or "" in store.ids:
+        report.add("frame_id: expected ids that are unique and not empty, found others")
+    unknown = set(tables.split.tolist()) - set(SPLIT_CODES.values())
+    if unknown:
+        report.add(f"split: expected {sorted(SPLIT_CODES.values())}, found {sorted(unknown)}")
+    if store.attributes["split"]["rule"] == "group":
+        seen: dict[str, int] = {}
+        for group, split in zip(tables.group, tables.split.tolist(), strict=True):
+            if seen.setdefault(group, split) != split:
+                report.add(f"group: expected one split per group, found {group!r} in two")
+                break
+    for number in range(len(store)):
+        _check_camera(store, number, report)
+    report.count("tables", len(TABLES))
+
+
+def _check_camera(store: Store, number: int, report: Report) -> None:
+    name = f"frame {number} ({store.ids[number]!r})"
+    try:
+        camera: Camera = store.camera(number)
+    except NimprepError as error:
+        report.add(f"{name}: {error}")
+        return
+    # A principal point can lie outside a cropped image, but not many images away.
+    far = 10 * max(camera.shape)
+    if abs(camera.cx) > far or abs(camera.cy) > far or max(camera.fx, camera.fy) > 100 * far:
+        report.add(f"{name}: expected a camera of its image's scale, found {camera}")
+    baseline = float(store.tables.baseline[number])
+    if not (np.isnan(baseline) or 0 < baseline < np.inf):
+        report.add(f"{name}: expected a positive baseline or NaN, found {baseline}")
+    road = store.tables.cam_to_road[number]
+    rotation = road[:, :3]
+    if not np.isnan(road).all() and not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+        report.add(f"{name}: expected a rotation in cam_to_road, found {rotation.tolist()}")
+
+
+def check_arrays(store: Store, report: Report) -> None:
+    """Check every array's dimensions, codecs and attributes, and every shard's index."""
+    import zarr
+
+    dtype = store.attributes["modalities"].get("normal", {}).get("dtype", "int8")
+    specs = image_specs(store.classes, dtype) | TABLES
+    for name in [*store.modalities, *TABLES]:
+        found = dict(zarr.open_array(store.path / name, mode="r").attrs)
+        for key, value in specs[name].attributes.items():
+            if found.get(key) != value:
+                report.add(
+                    f"{name}: expected attribute {key} = {value!r}, found {found.get(key)!r}"
+                )
+    shapes = {array.shape[1:3] for array in store.arrays.values()}
+    if len(shapes) > 1:
+        report.add(f"arrays: expected images of one size, found {sorted(shapes)}")
+    for name, array in store.arrays.items():
+        for shard in range(-(-len(array) // array.shard_length)):
+            try:
+                read_index(array.shard_path(shard), array.shard_length)
+            except StoreError as error:
+                report.add(f"{name}: {error}")
+            report.count("shards")

@@ -1,0 +1,216 @@
+"""Write a store: arrays first, shard by shard; what makes it readable comes last."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import StoreError
+from nimprep.frame import LabelClass
+from nimprep.store.metadata import ROOT, read_attributes, write_attributes, write_file
+from nimprep.store.shards import encode_shard
+from nimprep.store.spec import (
+    TABLE_SHAPES,
+    TABLES,
+    ArraySpec,
+    ChunkCodec,
+    chunk_codec,
+    image_specs,
+)
+
+if TYPE_CHECKING:
+    import zarr
+
+
+@dataclass(frozen=True)
+class StoreLayout:
+    """Fix a store's shape before anything is written.
+
+    Attributes
+    ----------
+    frames : int
+    height, width : int
+        Of the largest frame; smaller ones are padded at the bottom and right.
+    modalities : tuple of str
+    classes : tuple of LabelClass
+    normal_dtype : {"int8", "int16"}
+    codec : str
+        A name in `PRESETS`.
+    shard_length : int
+        Frames per shard.
+    """
+
+    frames: int
+    height: int
+    width: int
+    modalities: tuple[str, ...]
+    classes: tuple[LabelClass, ...]
+    normal_dtype: str
+    codec: str
+    shard_length: int
+
+    def spec(self, modality: str) -> ArraySpec:
+        """Return the array a modality is stored in."""
+        return image_specs(self.classes, self.normal_dtype)[modality]
+
+    def chunk_codec(self, modality: str) -> ChunkCodec:
+        """Return the codec of a modality's chunks."""
+        return chunk_codec(self.codec, self.spec(modality).dtype)
+
+    def image_shape(self, modality: str) -> tuple[int, ...]:
+        """Return the shape of one padded image: (height, width) or (height, width, 3)."""
+        color = len(self.spec(modality).dims) == 4
+        return (self.height, self.width, 3) if color else (self.height, self.width)
+
+
+def prepare_target(target: Path, *, overwrite: bool) -> None:
+    """Make sure that a store may be written to `target`, and remove what it replaces.
+
+    A store cut short is replaced without asking; a complete one only where `overwrite` says so;
+    a folder of anything else never.
+
+    Raises
+    ------
+    StoreError
+        Something is there that must stay, or the place cannot be written.
+    """
+    if target.is_symlink() or (target.exists() and not target.is_dir()):
+        raise StoreError(f"{target}: expected a free name for the store, found a file or link")
+    if target.is_dir() and any(target.iterdir()):
+        try:
+            found = read_attributes(target, complete=False)
+        except StoreError as error:
+            raise StoreError(
+                f"{target}: expected a free name for the store, found a folder that is no "
+                "nimprep store; choose another name"
+            ) from error
+        if found.get("complete") is True and not overwrite:
+            raise StoreError(
+                f"{target}: expected a free name for the store, found a complete store; "
+                "use --overwrite to replace it"
+            )
+        remove_store(target)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        (target / ".write-test").touch()
+        (target / ".write-test").unlink()
+    except OSError as error:
+        raise StoreError(f"{target}: expected a writable place, found {error.strerror}") from error
+
+
+def remove_store(target: Path) -> None:
+    """Remove a store; its root goes first, so that what is left is at no time readable."""
+    try:
+        (target / ROOT).unlink(missing_ok=True)
+        for entry in target.iterdir():
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry)
+            else:
+                entry.unlink()
+    except OSError as error:
+        raise StoreError(f"{target}: expected to remove it, found {error.strerror}") from error
+
+
+class StoreWriter:
+    """Write one store.
+
+    Parameters
+    ----------
+    target : Path
+        An empty folder (see `prepare_target`).
+    layout : StoreLayout
+    attributes : dict
+        The `nimprep` object as far as it is known; `finish` completes it.
+    """
+
+    def __init__(self, target: Path, layout: StoreLayout, attributes: dict[str, Any]) -> None:
+        self.target = target
+        self.layout = layout
+        root = {
+            "zarr_format": 3,
+            "node_type": "group",
+            "attributes": {"nimprep": {**attributes, "complete": False}},
+        }
+        write_file(target / ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
+
+    def write_shard(self, modality: str, shard: int, chunks: Sequence[bytes]) -> None:
+        """Write the file of one shard of one modality from its encoded chunks."""
+        folder = self.target / modality / "c" / str(shard)
+        path = folder.joinpath(*["0"] * (len(self.layout.spec(modality).dims) - 1))
+        write_file(path, encode_shard(chunks, self.layout.shard_length))
+
+    def finish(self, tables: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any]) -> None:
+        """Write the per-frame tables and the arrays' metadata; then the store is complete.
+
+        Parameters
+        ----------
+        tables : mapping
+            One array per name in `TABLES`, frame first.
+        attributes : mapping
+            The finished `nimprep` object, `complete` not counted.
+        """
+        import zarr
+
+        try:
+            group = zarr.open_group(self.target, mode="r+")
+            for modality in self.layout.modalities:
+                self._create_images(group, modality)
+            for name, spec in TABLES.items():
+                create_table(group, name, spec, tables[name])
+            with warnings.catch_warnings():
+                # Consolidated metadata is an extension that xarray reads, and warns without.
+                warnings.filterwarnings("ignore", message="Consolidated metadata")
+                zarr.consolidate_metadata(self.target)
+        except OSError as error:
+            raise StoreError(
+                f"{self.target}: expected room to write, found {error.strerror or error}"
+            ) from error
+        write_attributes(self.target, {**attributes, "complete": True})
+
+    def _create_images(self, group: zarr.Group, modality: str) -> None:
+        from zarr.codecs import BloscCodec, Crc32cCodec
+
+        spec = self.layout.spec(modality)
+        image = self.layout.image_shape(modality)
+        group.create_array(
+            modality,
+            shape=(self.layout.frames, *image),
+            chunks=(1, *image),
+            shards=(self.layout.shard_length, *image),
+            dtype=spec.dtype,
+            fill_value=spec.fill,
+            compressors=[
+                BloscCodec(**self.layout.chunk_codec(modality).configuration),
+                Crc32cCodec(),
+            ],
+            dimension_names=spec.dims,
+            attributes=spec.attributes,
+        )
+
+
+def create_table(group: zarr.Group, name: str, spec: ArraySpec, values: npt.NDArray[Any]) -> None:
+    """Write one per-frame array as a single checked chunk."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    shape = (len(values), *TABLE_SHAPES.get(name, ()))
+    array = group.create_array(
+        name,
+        shape=shape,
+        chunks=shape,
+        dtype=spec.dtype,
+        fill_value=float(spec.fill) if spec.dtype == "float64" else spec.fill,
+        compressors=[ZstdCodec(level=3), Crc32cCodec()],
+        dimension_names=spec.dims,
+        attributes=spec.attributes,
+        # An absent chunk would read as fill value: a deleted file must be an error instead.
+        config={"write_empty_chunks": True},
+    )
+    array[...] = values if spec.dtype == "string" else np.asarray(values, dtype=spec.dtype)
