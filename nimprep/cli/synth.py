@@ -1,0 +1,107 @@
+"""nimprep synth and nimprep demo."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import click
+
+from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
+
+DEMO_FRAMES = 24
+
+
+def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
+    width, height = parse_numbers(value.replace("x", ","), "WIDTH,HEIGHT", int)
+    return height, width
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--frames", type=click.IntRange(1), default=16, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option(
+    "--size", callback=_size, default="640x480", show_default=True, metavar="WIDTHxHEIGHT"
+)
+@click.option("--normals", is_flag=True, help="Write exact normals and depth too, as .npy.")
+@click.option("--no-noise", is_flag=True, help="Exact depth instead of a stereo camera's.")
+@quiet_option
+def synth(
+    out: Path,
+    frames: int,
+    seed: int,
+    size: tuple[int, int],
+    normals: bool,
+    no_noise: bool,
+    quiet: bool,
+) -> None:
+    """Make a synthetic dataset of outdoor scenes in the folder OUT, in GMRP's layout."""
+    from nimprep.synthetic import write_synthetic
+
+    done = progress_bars(quiet)("ray-casting", frames)
+    write_synthetic(
+        out,
+        frames,
+        seed,
+        size,
+        normals=normals,
+        noise=not no_noise,
+        progress=lambda _: done(),
+    )
+    click.echo(f"{out}: {frames} frames of {size[1]}x{size[0]} pixels")
+
+
+def _free_name() -> Path:
+    """Return nimprep-demo, or where that is taken nimprep-demo-2 and so on."""
+    numbered = (Path(f"nimprep-demo-{number}") for number in itertools.count(2))
+    names = itertools.chain([Path("nimprep-demo")], numbered)
+    return next(path for path in names if not path.exists())
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path), required=False)
+@quiet_option
+def demo(out: Path | None, quiet: bool) -> None:
+    """Make a small dataset in the folder OUT, convert it, check it, and say what to do next.
+
+    Needs no data and no network. OUT is a new folder; default: nimprep-demo.
+    """
+    import nimprep
+    from nimprep.errors import StoreError
+    from nimprep.store.info import info_text, store_info
+    from nimprep.store.validate import validate_store
+    from nimprep.synthetic import write_synthetic
+
+    out = out or _free_name()
+    if out.exists():
+        raise StoreError(f"{out}: expected a new folder for the demo, found it there already")
+    progress = progress_bars(quiet)
+    raw, store = out / "raw", out / "demo.zarr"
+
+    _step(f"nimprep synth {raw} --frames {DEMO_FRAMES}")
+    done = progress("ray-casting", DEMO_FRAMES)
+    write_synthetic(raw, DEMO_FRAMES, progress=lambda _: done())
+    _step(f"nimprep convert {raw} {store}")
+    nimprep.convert(raw, store, progress=progress)
+    _step(f"nimprep validate --deep {store}")
+    report = validate_store(store, deep=True, progress=progress)
+    if not report.valid:
+        raise StoreError(f"{store}: expected a valid store, found {report.problems[0]}")
+    click.echo(f"{report.frames} frames, every chunk and normal checked: valid\n")
+    _step(f"nimprep info {store}")
+    click.echo(info_text(store_info(store)))
+    click.echo(_NEXT.format(store=store))
+
+
+def _step(command: str) -> None:
+    click.echo(f"$ {command}")
+
+
+_NEXT = """
+What to do next
+  your own data:     nimprep convert FOLDER out.zarr   (nimprep convert --help)
+  in Python:         import nimprep; frame = nimprep.open_store("{store}")[0]
+  in xarray:         xarray.open_zarr("{store}")
+  another split:     nimprep split {store} --seed 1
+"""

@@ -1,0 +1,119 @@
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nimprep.errors import SplitError
+from nimprep.splits import (
+    assign_splits,
+    count_splits,
+    hash_order,
+    held_out_count,
+    split_by_frame,
+    split_by_group,
+    splits_from_file,
+    write_split_file,
+)
+
+IDS = [f"{number:06d}" for number in range(40)]
+
+
+def test_3896_frames_split_as_gmrp_does() -> None:
+    splits = split_by_frame([f"{number:06d}" for number in range(1, 3897)])
+    assert count_splits(splits.values()) == {"train": 2726, "val": 585, "test": 585}
+
+
+def test_the_order_is_that_of_sha256_and_never_changes() -> None:
+    # Worked out with sha256sum: printf '0:000001' | sha256sum, and so on.
+    assert hash_order(["000001", "000002", "000003"]) == ["000002", "000003", "000001"]
+
+
+@pytest.mark.parametrize(
+    ("frames", "each"), [(0, 0), (1, 0), (2, 0), (3, 1), (6, 1), (7, 2), (100, 15)]
+)
+def test_few_frames_still_leave_one_for_train(frames: int, each: int) -> None:
+    assert held_out_count(frames) == each
+
+
+def test_a_seed_changes_who_is_held_out_and_nothing_else() -> None:
+    first, second = split_by_frame(IDS, seed=0), split_by_frame(IDS, seed=1)
+    assert first != second
+    assert count_splits(first.values()) == count_splits(second.values())
+
+
+def test_the_order_of_the_ids_does_not_matter() -> None:
+    assert split_by_frame(IDS) == split_by_frame(IDS[::-1])
+
+
+@given(st.lists(st.integers(1, 30), min_size=3, max_size=20), st.integers(0, 5))
+def test_no_group_straddles_and_every_split_has_a_group(sizes: list[int], seed: int) -> None:
+    groups = {f"{g}/{i}": f"g{g}" for g, size in enumerate(sizes) for i in range(size)}
+    splits = split_by_group(groups, seed)
+    of_group: dict[str, set[str]] = {}
+    for frame_id, group in groups.items():
+        of_group.setdefault(group, set()).add(splits[frame_id])
+    assert all(len(found) == 1 for found in of_group.values())
+    assert set(splits.values()) == {"train", "val", "test"}
+
+
+def test_many_even_groups_come_near_the_default_sizes() -> None:
+    groups = {f"{g}/{i}": f"g{g}" for g in range(40) for i in range(10)}
+    assert count_splits(split_by_group(groups).values()) == {"train": 280, "val": 60, "test": 60}
+
+
+def test_frames_without_a_group_cannot_be_split_by_group() -> None:
+    with pytest.raises(SplitError, match="expected a group"):
+        split_by_group({"a": "x", "b": ""})
+
+
+def test_two_groups_cannot_fill_three_splits() -> None:
+    with pytest.raises(SplitError, match="at least 3 groups, found 2"):
+        split_by_group({"a": "x", "b": "y"})
+
+
+def test_fixed_test_frames_stay_and_the_others_become_train_and_val() -> None:
+    groups = {f"training/{i}": "um" for i in range(20)} | {"testing/0": "um", "testing/1": "um"}
+    splits = assign_splits(groups, "stratified", fixed={"testing/0": "test", "testing/1": "test"})
+    assert count_splits(splits.values()) == {"train": 17, "val": 3, "test": 2}
+    assert splits["testing/0"] == "test"
+
+
+def test_a_stratified_split_holds_the_same_share_of_every_group() -> None:
+    groups = {f"{g}{i}": g for g in "abc" for i in range(20)}
+    splits = assign_splits(groups, "stratified")
+    counts = Counter((groups[i], split) for i, split in splits.items())
+    assert all(counts[g, "val"] == counts[g, "test"] == 3 for g in "abc")
+
+
+def test_a_split_file_goes_round(tmp_path: Path) -> None:
+    splits = split_by_frame(IDS)
+    write_split_file(tmp_path / "split.json", splits)
+    assert splits_from_file(tmp_path / "split.json", IDS) == splits
+
+
+def test_frames_a_file_does_not_name_belong_to_none(tmp_path: Path) -> None:
+    write_split_file(tmp_path / "split.json", {"a": "train"})
+    assert splits_from_file(tmp_path / "split.json", ["a", "b"]) == {"a": "train", "b": "none"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"train": ["a", "unknown"]}, "found 'unknown' in 'train'"),
+        ({"train": ["a"], "val": ["a"]}, "each frame once, found 'a' twice"),
+        ({"version": "2.0"}, "1.0"),
+        ({"train": "a"}, "train"),
+        ({"extra": 1}, "extra"),
+    ],
+)
+def test_a_wrong_split_file_is_refused(
+    tmp_path: Path, change: dict[str, object], words: str
+) -> None:
+    document = {"format": "nimprep-split", "version": "1.0", "train": [], "val": [], "test": []}
+    path = tmp_path / "split.json"
+    path.write_text(json.dumps({**document, **change}))
+    with pytest.raises(SplitError, match=words):
+        splits_from_file(path, ["a", "b"])
