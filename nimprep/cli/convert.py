@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
 from nimprep.frame import MODALITIES
 
-if TYPE_CHECKING:
-    from nimprep.conversion.options import ConvertOptions
-    from nimprep.readers.cameras import CameraSource
-
 
 def _crop(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
     if value is None or value == "auto":
         return value
-    from nimprep.readers.crop import Margins
-
-    return Margins(*parse_numbers(value, "top,bottom,left,right", int))
+    return parse_numbers(value, "top,bottom,left,right", int)
 
 
 def _intrinsics(
@@ -63,7 +57,7 @@ def _modalities(
     metavar="auto|T,B,L,R",
     help="Cut sides that have depth in no frame, or so many pixels: top,bottom,left,right.",
 )
-@click.option("--no-labels", is_flag=True, help="Convert without labels.")
+@click.option("--no-labels", "labels", flag_value=False, default=True, help="Convert without.")
 @click.option(
     "--depth-scale", type=click.FloatRange(0, min_open=True), help="Metres per raw depth unit."
 )
@@ -88,7 +82,13 @@ def _modalities(
 )
 @click.option("--split-file", type=click.Path(path_type=Path), help="Split by this JSON file.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the split.")
-@click.option("--shard-length", type=click.IntRange(1, 4096), help="Frames per shard.")
+@click.option(
+    "--shard-length",
+    type=click.IntRange(1, 4096),
+    default=32,
+    show_default=True,
+    help="Frames per shard.",
+)
 @click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
 @click.option("--overwrite", is_flag=True, help="Replace a complete store.")
 @quiet_option
@@ -105,43 +105,7 @@ def convert(src: Path, out: Path, quiet: bool, **given: Any) -> None:
     import nimprep
     from nimprep.store.info import info_text, store_info
 
-    nimprep.convert(src, out, _options(given), progress=progress_bars(quiet))
+    camera, intrinsics = given.pop("camera"), given.pop("intrinsics")
+    options = nimprep.ConvertOptions(camera=camera or intrinsics, **given)
+    nimprep.convert(src, out, options, progress=progress_bars(quiet))
     click.echo(info_text(store_info(out)))
-
-
-def _options(given: dict[str, Any]) -> ConvertOptions:
-    from nimprep.conversion.options import ConvertOptions
-    from nimprep.derive.modalities import Recipe
-    from nimprep.readers import ReaderOptions
-    from nimprep.store.spec import SHARD_LENGTH
-
-    return ConvertOptions(
-        reader=given["reader"],
-        source=ReaderOptions(
-            labels=not given["no_labels"],
-            camera=_camera(given),
-            depth_scale=given["depth_scale"],
-            description=given["description"],
-        ),
-        crop=given["crop"],
-        modalities=given["modalities"],
-        recipe=Recipe(sign_filter=given["sign_filter"]),
-        normal_dtype=given["normal_dtype"],
-        codec=given["codec"],
-        split_by=given["split_by"],
-        split_file=given["split_file"],
-        seed=given["seed"],
-        shard_length=given["shard_length"] or SHARD_LENGTH,
-        workers=given["workers"],
-        overwrite=given["overwrite"],
-    )
-
-
-def _camera(given: dict[str, Any]) -> CameraSource | None:
-    from nimprep.readers.cameras import camera_from_file, camera_from_intrinsics
-
-    if given["camera"]:
-        return camera_from_file(given["camera"])
-    if given["intrinsics"]:
-        return camera_from_intrinsics(given["intrinsics"])
-    return None

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from nimprep.derive.modalities import Recipe
 from nimprep.errors import ArrayError
+from nimprep.frame import MODALITIES
 from nimprep.readers import ReaderOptions
-from nimprep.readers.crop import Margins
+from nimprep.readers.cameras import CameraSource, camera_from_file, camera_from_intrinsics
 from nimprep.splits import SPLIT_RULES
 from nimprep.store.spec import NORMAL_SCALES, PRESETS, SHARD_LENGTH
 
@@ -22,22 +24,30 @@ class ConvertOptions:
     ----------
     reader : str
         A name in `nimprep.readers.READERS`; "auto" = by the folder's layout.
-    source : ReaderOptions
-        What the reader should do differently.
-    crop : "auto", Margins or None
-        Cut the sides that have depth in no frame, or these margins, or nothing.
-    modalities : tuple of str, optional
+    description : path, optional
+        The JSON description of a folder dataset.
+    labels : bool
+        Whether labels are read.
+    camera : path or (fx, fy, cx, cy), optional
+        A camera file, or the numbers in pixels; None = the dataset's own.
+    depth_scale : float, optional
+        Metres per raw depth unit; None = the layout's, and implausible depth is refused.
+    crop : "auto", (top, bottom, left, right) or None
+        Cut the sides that have depth in no frame, or so many pixels, or nothing.
+    modalities : sequence of str, optional
         What to store; None = all that can be had.
-    recipe : Recipe
-        How derived modalities are made.
+    normals : str
+        Method of `estimate_normals`.
+    sign_filter : bool
+        Its option of that name.
     normal_dtype : {"int8", "int16"}
-    codec : str
-        "fast" to read, or "small" to keep.
+    codec : {"fast", "small"}
     split_by : {"frame", "group", "stratified"}, optional
         None = "stratified" where the dataset's authors fixed some frames' split, else "frame".
-    split_file : Path, optional
+    split_file : path, optional
         In place of a rule.
     seed : int
+        Of the split.
     shard_length : int
         Frames per shard.
     workers : int, optional
@@ -47,14 +57,18 @@ class ConvertOptions:
     """
 
     reader: str = "auto"
-    source: ReaderOptions = field(default_factory=ReaderOptions)
-    crop: Literal["auto"] | Margins | None = None
-    modalities: tuple[str, ...] | None = None
-    recipe: Recipe = field(default_factory=Recipe)
-    normal_dtype: Literal["int8", "int16"] = "int8"
+    description: Path | str | None = None
+    labels: bool = True
+    camera: Path | str | tuple[float, float, float, float] | None = None
+    depth_scale: float | None = None
+    crop: Literal["auto"] | tuple[int, int, int, int] | None = None
+    modalities: Sequence[str] | None = None
+    normals: str = "nim"
+    sign_filter: bool = False
+    normal_dtype: str = "int8"
     codec: str = "fast"
     split_by: str | None = None
-    split_file: Path | None = None
+    split_file: Path | str | None = None
     seed: int = 0
     shard_length: int = SHARD_LENGTH
     workers: int | None = None
@@ -68,6 +82,40 @@ class ConvertOptions:
         ):
             if value not in allowed:
                 raise ArrayError(f"{name}: expected one of {allowed}, found {value!r}")
-        for name, number in (("shard_length", self.shard_length), ("workers", self.workers)):
-            if number is not None and number < 1:
-                raise ArrayError(f"{name}: expected 1 or more, found {number}")
+        for name, number in (
+            ("shard_length", self.shard_length),
+            ("workers", self.workers),
+            ("depth_scale", self.depth_scale),
+        ):
+            if number is not None and not number > 0:
+                raise ArrayError(f"{name}: expected a positive number, found {number}")
+        for name in self.modalities or ():
+            if name not in MODALITIES:
+                known = ", ".join(MODALITIES)
+                raise ArrayError(f"modalities: expected some of {known}, found {name!r}")
+
+    @property
+    def reading(self) -> ReaderOptions:
+        """What the reader is to do differently from its layout's defaults.
+
+        Raises
+        ------
+        CameraError
+            The camera's file or numbers make no camera.
+        """
+        camera: CameraSource | None = None
+        if isinstance(self.camera, (str, Path)):
+            camera = camera_from_file(Path(self.camera))
+        elif self.camera is not None:
+            camera = camera_from_intrinsics(self.camera)
+        return ReaderOptions(
+            labels=self.labels,
+            camera=camera,
+            depth_scale=self.depth_scale,
+            description=None if self.description is None else Path(self.description),
+        )
+
+    @property
+    def recipe(self) -> Recipe:
+        """How derived modalities are made."""
+        return Recipe(normals=self.normals, sign_filter=self.sign_filter)

@@ -21,7 +21,7 @@ from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_spl
 from nimprep.derive.modalities import Recipe
 from nimprep.errors import NimprepError
 from nimprep.readers import Reader, open_reader
-from nimprep.readers.crop import CroppedReader, find_invalid_sides
+from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store, open_store
 from nimprep.store.writer import StoreWriter, prepare_target, remove_store
@@ -72,14 +72,14 @@ def convert(
     check_apart(source, target)
     workers = options.workers or len(os.sched_getaffinity(0))
     start = progress or (lambda step, frames: lambda: None)
-    reader = open_reader(source, options.reader, options.source)
+    reader = open_reader(source, options.reader, options.reading)
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
     if options.crop == "auto":
         done = start("looking for sides without depth", len(reader.ids))
         reader = CroppedReader(reader, find_invalid_sides(reader, workers, done))
     elif options.crop is not None:
-        reader = CroppedReader(reader, options.crop)
+        reader = CroppedReader(reader, Margins(*options.crop))
     layout = plan_layout(reader, options)
     # Splits are made before anything is written: a wrong split file must not cost a conversion.
     splits = plan_splits(reader, options)

@@ -10,6 +10,7 @@ Source: Zarr v3 specification, sharding-indexed and crc32c codecs, version 1.0.
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +25,8 @@ from nimprep.errors import StoreError
 from nimprep.store.spec import ChunkCodec
 
 _MISSING = 2**64 - 1
+_CRC_RESIDUE = 0x48674BC7
+"""CRC-32C of any bytes followed by their own CRC-32C: checks a chunk without cutting it apart."""
 _SHUFFLE = {"noshuffle": 0, "shuffle": 1, "bitshuffle": 2}
 
 
@@ -92,7 +95,9 @@ def read_index(path: Path, capacity: int) -> npt.NDArray[np.uint64]:
 
 
 def read_chunk(path: Path, index: npt.NDArray[np.uint64], position: int) -> bytes | None:
-    """Return the checked, still compressed bytes of one chunk; None where it is all fill value.
+    """Return the checked, still compressed bytes of one chunk, its checksum at the end.
+
+    None where the chunk is all fill value and therefore not there.
 
     Raises
     ------
@@ -103,17 +108,18 @@ def read_chunk(path: Path, index: npt.NDArray[np.uint64], position: int) -> byte
     if offset == _MISSING:
         return None
     try:
-        with path.open("rb", buffering=0) as file:
-            file.seek(offset)
-            data = file.read(length)
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            data = os.pread(descriptor, length, offset)
+        finally:
+            os.close(descriptor)
     except OSError as error:
         raise StoreError(f"{path}: expected a shard, found {error.strerror}") from error
     if len(data) != length or length < 4:
         raise StoreError(f"{path}: expected {length} bytes of chunk {position}, found {len(data)}")
-    packed = data[:-4]
-    if google_crc32c.value(packed) != int.from_bytes(data[-4:], "little"):
+    if google_crc32c.value(data) != _CRC_RESIDUE:
         raise StoreError(f"{path}: expected chunk {position} undamaged, found a wrong checksum")
-    return packed
+    return data
 
 
 def decode_chunk(packed: bytes, out: npt.NDArray[Any], where: str) -> None:
@@ -124,10 +130,13 @@ def decode_chunk(packed: bytes, out: npt.NDArray[Any], where: str) -> None:
     StoreError
         It holds another number of bytes, or is no Blosc buffer.
     """
-    # A Blosc header tells the decompressed length: checked first, so that nothing is overrun.
-    if len(packed) < 16 or (found := int.from_bytes(packed[4:8], "little")) != out.nbytes:
-        found = int.from_bytes(packed[4:8], "little")
-        raise StoreError(f"{where}: expected a chunk of {out.nbytes} bytes, found {found}")
+    # A Blosc header tells both lengths: checked first, so that nothing is overrun.
+    unpacked, length = (int.from_bytes(packed[i : i + 4], "little") for i in (4, 12))
+    if len(packed) < 20 or unpacked != out.nbytes or length != len(packed) - 4:
+        raise StoreError(
+            f"{where}: expected {len(packed) - 4} bytes that become {out.nbytes}, "
+            f"found {length} that become {unpacked}"
+        )
     try:
         blosc.decompress(packed, out)
     except (RuntimeError, ValueError) as error:

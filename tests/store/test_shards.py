@@ -15,6 +15,12 @@ def shard_file(folder: Path, images: list[np.ndarray], capacity: int) -> Path:
     return path
 
 
+def read_all(path: Path) -> None:
+    index = read_index(path, 4)
+    for position in range(3):
+        read_chunk(path, index, position)
+
+
 def images(dtype: str) -> list[np.ndarray]:
     rng = np.random.default_rng(1)
     return [rng.integers(0, 100, (9, 11), dtype=dtype) for _ in range(3)]
@@ -49,9 +55,7 @@ def test_every_single_flipped_byte_of_a_shard_is_an_error(tmp_path: Path) -> Non
         damaged[place] ^= 0x10
         path.write_bytes(damaged)
         with pytest.raises(StoreError, match="found a wrong checksum"):
-            index = read_index(path, 4)
-            for position in range(3):
-                read_chunk(path, index, position)
+            read_all(path)
 
 
 @pytest.mark.parametrize("keep", [0, 10, 60])
