@@ -1,0 +1,5 @@
+"""``python -m nimprep`` is the command ``nimprep``."""
+
+from nimprep.cli import main
+
+main(prog_name="nimprep")

@@ -1,0 +1,82 @@
+"""Nothing imports backwards: each part may use those before it, and no other."""
+
+import ast
+import importlib
+from pathlib import Path
+
+import pytest
+
+import nimprep
+
+PACKAGE = Path(nimprep.__file__).parent
+
+LAYERS = [
+    ["errors"],
+    ["schema", "camera", "frame"],
+    ["splits", "metrics"],
+    ["derive"],
+    ["kitti"],
+    ["readers"],
+    ["store"],
+    ["conversion"],
+    ["synthetic"],
+    ["cli"],
+    ["__main__"],
+]
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+
+
+def part(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imported(path: Path) -> set[str]:
+    """Return the parts of nimprep that a module imports anywhere, functions included."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        found |= {name.split(".")[1] for name in names if name.startswith("nimprep.")}
+    return found - {"__version__"}
+
+
+MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+
+
+def test_every_part_has_its_layer() -> None:
+    assert {part(path) for path in MODULES} == set(RANK)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_module_imports_backwards(path: Path) -> None:
+    own = RANK[part(path)]
+    # A name that is no part is a public name of the package, which is made of later layers.
+    later = {
+        name for name in imported(path) if RANK.get(name, len(LAYERS)) > own and name != part(path)
+    }
+    assert not later or own >= RANK["cli"], f"{path}: imports {sorted(later)} backwards"
+
+
+def test_kernels_import_nothing_of_the_package_but_kernels() -> None:
+    paths = sorted((PACKAGE / "derive" / "kernels").glob("*.py"))
+    assert len(paths) > 3
+    for path in paths:
+        tree = ast.parse(path.read_text())
+        modules = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
+        ours = [m for m in modules if m.startswith("nimprep")]
+        assert all(m.startswith("nimprep.derive.kernels") for m in ours), path
+
+
+def test_every_public_name_is_there_and_documented() -> None:
+    for name in nimprep.__all__:
+        assert getattr(nimprep, name) is not None
+        assert name in dir(nimprep)
+        if name != "__version__":
+            assert getattr(nimprep, name).__doc__
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        nimprep.nothing  # noqa: B018
+    assert importlib.import_module("nimprep.conversion.run").convert is nimprep.convert
