@@ -11,6 +11,7 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
 from nimprep.frame import Frame
+from nimprep.store.buffers import empty
 from nimprep.store.images import ImageArray
 from nimprep.store.spec import NORMAL_SCALES
 
@@ -27,7 +28,8 @@ def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uin
 
 def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
     """Return (H, W) uint16 millimetres as float32 metres, each the float32 nearest to it."""
-    depth_m: npt.NDArray[np.float32] = np.divide(stored, np.float32(1000), dtype=np.float32)
+    depth_m = empty(stored.shape, np.float32)
+    np.divide(stored, np.float32(1000), out=depth_m, dtype=np.float32)
     return depth_m
 
 
@@ -44,7 +46,7 @@ def normals_from_integers(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     """Return (H, W, 3) int8 or int16 as float32 vectors of unit length; all 0 stays."""
     from nimprep.derive.kernels import quantisation
 
-    out = np.empty(stored.shape, dtype=np.float32)
+    out = empty(stored.shape, np.float32)
     quantisation.normals_from_integers(stored, out)
     return out
 
@@ -56,7 +58,7 @@ class StoredFrame(Frame):
     an image that the store lacks gives None, as with any `Frame`.
     """
 
-    _chunks: dict[str, tuple[ImageArray, bytes | None]]
+    _chunks: dict[str, tuple[ImageArray, npt.NDArray[np.uint8] | None]]
     _number: int
 
     @classmethod
@@ -81,7 +83,7 @@ class StoredFrame(Frame):
             return None
         array, packed = self._chunks[name]
         height, width = self.camera.shape
-        padded = np.empty(array.shape[1:], dtype=array.dtype)
+        padded = empty(array.shape[1:], array.dtype)
         array.decode(packed, padded, self._number)
         if padded.shape[:2] == (height, width):
             return padded

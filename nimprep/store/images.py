@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nimprep.errors import StoreError
 from nimprep.frame import MAX_PIXELS
+from nimprep.store.buffers import empty
 from nimprep.store.metadata import read_document
 from nimprep.store.shards import decode_chunk, read_chunk, read_index
 from nimprep.store.spec import ArraySpec
@@ -54,7 +55,7 @@ class ImageArray:
         """Return the file of a shard."""
         return self.path.joinpath("c", str(shard), *["0"] * (len(self.shape) - 1))
 
-    def fetch(self, frame: int) -> bytes | None:
+    def fetch(self, frame: int) -> npt.NDArray[np.uint8] | None:
         """Return a frame's checked, still compressed chunk; None where it is all fill value."""
         shard, position = divmod(frame, self.shard_length)
         path = self.shard_path(shard)
@@ -62,7 +63,9 @@ class ImageArray:
             self._indices[shard] = read_index(path, self.shard_length)
         return read_chunk(path, self._indices[shard], position)
 
-    def decode(self, packed: bytes | None, out: npt.NDArray[Any], frame: int) -> None:
+    def decode(
+        self, packed: npt.NDArray[np.uint8] | None, out: npt.NDArray[Any], frame: int
+    ) -> None:
         """Decompress what `fetch` returned into `out`, of `shape[1:]`, C-contiguous."""
         if packed is None:
             out[...] = self.spec.fill
@@ -77,7 +80,7 @@ class ImageArray:
         StoreError
             Its shard is missing, or its checksum does not fit.
         """
-        out = np.empty(self.shape[1:], dtype=self.dtype)
+        out = empty(self.shape[1:], self.dtype)
         self.decode(self.fetch(frame), out, frame)
         return out
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from numcodecs import blosc
 
 from nimprep.errors import StoreError
+from nimprep.store.buffers import empty
 from nimprep.store.spec import ChunkCodec
 
 _MISSING = 2**64 - 1
@@ -94,7 +95,9 @@ def read_index(path: Path, capacity: int) -> npt.NDArray[np.uint64]:
     return index
 
 
-def read_chunk(path: Path, index: npt.NDArray[np.uint64], position: int) -> bytes | None:
+def read_chunk(
+    path: Path, index: npt.NDArray[np.uint64], position: int
+) -> npt.NDArray[np.uint8] | None:
     """Return the checked, still compressed bytes of one chunk, its checksum at the end.
 
     None where the chunk is all fill value and therefore not there.
@@ -110,19 +113,20 @@ def read_chunk(path: Path, index: npt.NDArray[np.uint64], position: int) -> byte
     try:
         descriptor = os.open(path, os.O_RDONLY)
         try:
-            data = os.pread(descriptor, length, offset)
+            data = empty((length,), np.uint8)
+            found = os.preadv(descriptor, [data.data], offset)
         finally:
             os.close(descriptor)
     except OSError as error:
         raise StoreError(f"{path}: expected a shard, found {error.strerror}") from error
-    if len(data) != length or length < 4:
-        raise StoreError(f"{path}: expected {length} bytes of chunk {position}, found {len(data)}")
+    if found != length or length < 4:
+        raise StoreError(f"{path}: expected {length} bytes of chunk {position}, found {found}")
     if google_crc32c.value(data) != _CRC_RESIDUE:
         raise StoreError(f"{path}: expected chunk {position} undamaged, found a wrong checksum")
     return data
 
 
-def decode_chunk(packed: bytes, out: npt.NDArray[Any], where: str) -> None:
+def decode_chunk(packed: npt.NDArray[np.uint8] | bytes, out: npt.NDArray[Any], where: str) -> None:
     """Decompress a chunk into `out`, C-contiguous, of the image's shape and dtype.
 
     Raises
@@ -131,7 +135,7 @@ def decode_chunk(packed: bytes, out: npt.NDArray[Any], where: str) -> None:
         It holds another number of bytes, or is no Blosc buffer.
     """
     # A Blosc header tells both lengths: checked first, so that nothing is overrun.
-    unpacked, length = (int.from_bytes(packed[i : i + 4], "little") for i in (4, 12))
+    unpacked, length = (int.from_bytes(bytes(packed[i : i + 4]), "little") for i in (4, 12))
     if len(packed) < 20 or unpacked != out.nbytes or length != len(packed) - 4:
         raise StoreError(
             f"{where}: expected {len(packed) - 4} bytes that become {out.nbytes}, "
