@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from nimprep.conversion.options import ConvertOptions as ConvertOptions
     from nimprep.conversion.run import convert as convert
     from nimprep.derive.completion import fill_depth as fill_depth
+    from nimprep.derive.gravity import estimate_gravity as estimate_gravity
     from nimprep.derive.hha import encode_hha as encode_hha
-    from nimprep.derive.hha import estimate_gravity as estimate_gravity
     from nimprep.derive.normals import estimate_normals as estimate_normals
     from nimprep.errors import NimprepError as NimprepError
     from nimprep.frame import Frame as Frame
@@ -31,7 +31,7 @@ _HOME = {
     "Store": "nimprep.store.reader",
     "convert": "nimprep.conversion.run",
     "encode_hha": "nimprep.derive.hha",
-    "estimate_gravity": "nimprep.derive.hha",
+    "estimate_gravity": "nimprep.derive.gravity",
     "estimate_normals": "nimprep.derive.normals",
     "fill_depth": "nimprep.derive.completion",
     "open_store": "nimprep.store.reader",

@@ -66,6 +66,14 @@ def _modalities(
 )
 @click.option("--sign-filter", is_flag=True, help="Normals by NIM with its sign filter.")
 @click.option(
+    "--fill",
+    type=click.Choice(["none", "nearest", "linear", "colorization"]),
+    default="none",
+    show_default=True,
+    help="Fill holes in depth before normals and HHA are made from it.",
+)
+@click.option("--store-filled", is_flag=True, help="Store the filled depth, not the raw one.")
+@click.option(
     "--normal-dtype", type=click.Choice(["int8", "int16"]), default="int8", show_default=True
 )
 @click.option(
@@ -102,6 +110,8 @@ def convert(src: Path, out: Path, quiet: bool, **given: Any) -> None:
         raise click.UsageError("expected --camera or --intrinsics, found both")
     if given["split_file"] and given["split_by"]:
         raise click.UsageError("expected --split-file or --split-by, found both")
+    if given["store_filled"] and given["fill"] == "none":
+        raise click.UsageError("expected --fill with --store-filled, found none")
     import nimprep
     from nimprep.store.info import info_text, store_info
 

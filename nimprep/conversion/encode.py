@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.derive.modalities import DERIVED, Recipe, derive
-from nimprep.errors import DecodeError
+from nimprep.derive.modalities import DERIVED, Recipe, derive, fill_frame
+from nimprep.errors import ArrayError, DecodeError
 from nimprep.frame import Frame
 from nimprep.readers.base import Reader
 from nimprep.store.frames import (
@@ -35,6 +35,8 @@ class EncodedFrame:
     baseline_m : float
     cam_to_road : (3, 4) float64
         NaN where there is none.
+    gravity : (3,) float64
+        Direction HHA was made with; NaN without HHA.
     depth_counts : (65536,) int64
         Pixels per depth in millimetres.
     digest : str
@@ -46,6 +48,7 @@ class EncodedFrame:
     group: str
     baseline_m: float
     cam_to_road: npt.NDArray[np.float64]
+    gravity: npt.NDArray[np.float64]
     depth_counts: npt.NDArray[np.int64]
     digest: str
 
@@ -87,28 +90,54 @@ def encode_frame(
     wanted = set(layout.modalities)
     if wanted & set(DERIVED):
         wanted.add("depth")
+    if recipe.fill == "colorization":
+        wanted.add("rgb")
     frame = reader.read(frame_id, wanted)
-    stored: dict[str, npt.NDArray[Any]] = {}
+    try:
+        stored, gravity = _stored_images(frame, layout, recipe)
+    except ArrayError as error:
+        raise DecodeError(f"frame {frame_id!r}: {error}") from error
     counts = np.zeros(65536, dtype=np.int64)
-    if frame.depth_m is not None:
-        stored["depth"] = depth_to_millimetres(frame.depth_m)
+    if "depth" in stored:
         counts = np.bincount(stored["depth"].reshape(-1), minlength=65536)
-        # From here on depth is what the store says it is: what is derived can be made again.
-        frame = replace(frame, depth_m=depth_from_millimetres(stored["depth"]))
-    derived = derive(frame, wanted, recipe)
-    if "normal" in derived:
-        stored["normal"] = normals_to_integers(derived["normal"], layout.normal_dtype)
-    copied = {"rgb": frame.rgb, "label": frame.label}
-    stored.update({name: image for name, image in copied.items() if image is not None})
     return EncodedFrame(
         chunks=_chunks(frame, stored, layout),
         camera=frame.camera,
         group=frame.group,
         baseline_m=frame.baseline_m,
         cam_to_road=np.full((3, 4), np.nan) if frame.cam_to_road is None else frame.cam_to_road,
+        gravity=gravity,
         depth_counts=counts,
         digest=source_digest(reader, frame_id),
     )
+
+
+def _stored_images(
+    frame: Frame, layout: StoreLayout, recipe: Recipe
+) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.float64]]:
+    """Return the frame's images as the store holds them, and the direction of gravity."""
+    copied = {"rgb": frame.rgb, "label": frame.label}
+    stored: dict[str, npt.NDArray[Any]] = {n: i for n, i in copied.items() if i is not None}
+    missing = None
+    if frame.depth_m is not None:
+        # From here on depth is what the store says it is: what is derived can be made again.
+        frame, stored["depth"] = _as_stored(frame, frame.depth_m)
+        frame, missing = fill_frame(frame, recipe)
+        if recipe.store_filled and frame.depth_m is not None:
+            frame, stored["depth"] = _as_stored(frame, frame.depth_m)
+    derived = derive(frame, missing, layout.modalities, recipe)
+    stored |= derived.images
+    if "normal" in stored:
+        stored["normal"] = normals_to_integers(stored["normal"], layout.normal_dtype)
+    return stored, derived.gravity
+
+
+def _as_stored(
+    frame: Frame, depth_m: npt.NDArray[np.float32]
+) -> tuple[Frame, npt.NDArray[np.uint16]]:
+    """Round depth to what a store can say; return the frame with it, and it in millimetres."""
+    millimetres = depth_to_millimetres(depth_m)
+    return replace(frame, depth_m=depth_from_millimetres(millimetres)), millimetres
 
 
 def _chunks(

@@ -40,6 +40,10 @@ class ConvertOptions:
         Method of `estimate_normals`.
     sign_filter : bool
         Its option of that name.
+    fill : {"none", "nearest", "linear", "colorization"}
+        How holes in depth are filled for normals and HHA.
+    store_filled : bool
+        Store the filled depth in place of the raw one.
     normal_dtype : {"int8", "int16"}
     codec : {"fast", "small"}
     split_by : {"frame", "group", "stratified"}, optional
@@ -65,6 +69,8 @@ class ConvertOptions:
     modalities: Sequence[str] | None = None
     normals: str = "nim"
     sign_filter: bool = False
+    fill: str = "none"
+    store_filled: bool = False
     normal_dtype: str = "int8"
     codec: str = "fast"
     split_by: str | None = None
@@ -89,6 +95,7 @@ class ConvertOptions:
         ):
             if number is not None and not number > 0:
                 raise ArrayError(f"{name}: expected a positive number, found {number}")
+        _ = self.recipe  # checks what it is made of
         for name in self.modalities or ():
             if name not in MODALITIES:
                 known = ", ".join(MODALITIES)
@@ -118,4 +125,4 @@ class ConvertOptions:
     @property
     def recipe(self) -> Recipe:
         """How derived modalities are made."""
-        return Recipe(normals=self.normals, sign_filter=self.sign_filter)
+        return Recipe(self.normals, self.sign_filter, self.fill, self.store_filled)

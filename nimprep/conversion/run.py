@@ -132,6 +132,7 @@ class Collected:
             "intrinsics": np.array([f.camera.matrix for f in frames]),
             "baseline": np.array([f.baseline_m for f in frames]),
             "cam_to_road": np.array([f.cam_to_road for f in frames]),
+            "gravity": np.array([f.gravity for f in frames]),
         }
 
     def summary(self) -> dict[str, Any]:

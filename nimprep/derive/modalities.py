@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
+from nimprep.errors import ArrayError
 from nimprep.frame import Frame
+
+DERIVED = ("normal", "hha")
+"""The modalities that `derive` makes; the others come from the source."""
+
+FILLS = ("none", "nearest", "linear", "colorization")
+"""How holes in depth can be filled before anything is derived from it."""
 
 
 @dataclass(frozen=True)
@@ -21,43 +29,130 @@ class Recipe:
         Method of `estimate_normals`.
     sign_filter : bool
         Its option of that name.
+    fill : {"none", "nearest", "linear", "colorization"}
+        Method of `fill_depth` for what normals and HHA are made from.
+    store_filled : bool
+        Whether the store holds the filled depth in place of the raw one.
     """
 
     normals: str = "nim"
     sign_filter: bool = False
+    fill: str = "none"
+    store_filled: bool = False
+
+    def __post_init__(self) -> None:
+        from nimprep.derive.normals import METHODS
+
+        if self.normals not in METHODS:
+            raise ArrayError(
+                f"normals: expected one of {', '.join(METHODS)}, found {self.normals!r}"
+            )
+        if self.fill not in FILLS:
+            raise ArrayError(f"fill: expected one of {', '.join(FILLS)}, found {self.fill!r}")
+        if self.store_filled and self.fill == "none":
+            raise ArrayError("store_filled: expected a way to fill, found 'none'; give fill")
 
     def describe(self, modality: str) -> dict[str, Any]:
         """Return what a store's metadata says of how a modality was made."""
         if modality == "normal":
-            return {"method": self.normals, "parameters": {"sign_filter": self.sign_filter}}
-        return {"method": "source", "parameters": {}}
+            parameters = {"sign_filter": self.sign_filter, "fill": self.fill}
+            return {"method": self.normals, "parameters": parameters}
+        if modality == "hha":
+            return {
+                "method": "hha",
+                "parameters": {
+                    "fill": self.fill,
+                    "gravity": "from cam_to_road where a frame has it, else estimated",
+                    "horizontal_disparity": "31000 / max(depth, 100), depth in cm",
+                    "height": "cm above the frame's lowest point, or above a ground 130 cm below "
+                    "the camera where no point lies 90 cm below it",
+                    "angle": "degrees between normal and gravity, plus 38: floor 38, wall 128",
+                },
+            }
+        fill = self.fill if modality == "depth" and self.store_filled else None
+        return {"method": "source", "parameters": {} if fill is None else {"fill": fill}}
 
 
-DERIVED = ("normal",)
-"""The modalities that `derive` makes; the others come from the source."""
+def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
+    """Return the recipe that a store's `modalities` attribute describes."""
+    normal = modalities.get("normal", {"method": "nim", "parameters": {}})
+    derived = [modalities[m]["parameters"] for m in DERIVED if m in modalities]
+    stored = modalities.get("depth", {"parameters": {}})["parameters"]
+    return Recipe(
+        normals=normal["method"],
+        sign_filter=bool(normal["parameters"].get("sign_filter", False)),
+        fill=derived[0].get("fill", "none") if derived else stored.get("fill", "none"),
+        store_filled="fill" in stored,
+    )
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Hold what was derived from one frame's depth.
+
+    Attributes
+    ----------
+    images : dict of modality to array
+    gravity : (3,) float64
+        Direction in the camera frame that HHA was made with; NaN without HHA.
+    """
+
+    images: dict[str, npt.NDArray[Any]]
+    gravity: npt.NDArray[np.float64]
+
+
+def fill_frame(frame: Frame, recipe: Recipe) -> tuple[Frame, npt.NDArray[np.bool_] | None]:
+    """Return the frame with its holes filled by the recipe, and the mask of what was filled.
+
+    The mask is None where the recipe fills nothing.
+    """
+    if recipe.fill == "none" or frame.depth_m is None:
+        return frame, None
+    from nimprep.derive.completion import fill_depth
+
+    filled, mask = fill_depth(frame.depth_m, recipe.fill, frame.rgb, num_threads=1)  # type: ignore[arg-type]
+    return replace(frame, depth_m=filled), mask
 
 
 def derive(
-    frame: Frame, modalities: Collection[str], recipe: Recipe
-) -> dict[str, npt.NDArray[Any]]:
+    frame: Frame,
+    missing: npt.NDArray[np.bool_] | None,
+    modalities: Collection[str],
+    recipe: Recipe,
+) -> Derived:
     """Make a frame's derived modalities, on the calling thread alone.
 
     Parameters
     ----------
     frame : Frame
-        With depth_m as the store will hold it, so that it can be made again from there.
-    modalities : tuple of str
+        With depth_m filled already, where the recipe says so (see `fill_frame`).
+    missing : (H, W) bool, optional
+        Where depth_m was filled in.
+    modalities : collection of str
         Those to make; names that are not derived are passed over.
     """
-    made: dict[str, npt.NDArray[Any]] = {}
-    if "normal" in modalities and frame.depth_m is not None:
+    images: dict[str, npt.NDArray[Any]] = {}
+    gravity = np.full(3, np.nan)
+    if frame.depth_m is None:
+        return Derived(images, gravity)
+    if "normal" in modalities:
         from nimprep.derive.normals import estimate_normals
 
-        made["normal"] = estimate_normals(
+        images["normal"] = estimate_normals(
             frame.depth_m,
             frame.camera,
             method=recipe.normals,
             sign_filter=recipe.sign_filter,
             num_threads=1,
         )
-    return made
+    if "hha" in modalities:
+        from nimprep.derive.gravity import estimate_gravity
+        from nimprep.derive.hha import encode_hha
+
+        if frame.cam_to_road is not None:
+            # The road frame's y axis points down, as the camera's does.
+            gravity = frame.cam_to_road[:, :3].T @ (0.0, 1.0, 0.0)
+        else:
+            gravity = estimate_gravity(frame.depth_m, frame.camera, missing, num_threads=1)
+        images["hha"] = encode_hha(frame.depth_m, frame.camera, missing, gravity, num_threads=1)
+    return Derived(images, gravity)

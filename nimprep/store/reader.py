@@ -32,6 +32,7 @@ class Tables:
     intrinsics: npt.NDArray[np.float64]
     baseline: npt.NDArray[np.float64]
     cam_to_road: npt.NDArray[np.float64]
+    gravity: npt.NDArray[np.float64]
 
 
 def read_tables(store: Path) -> Tables:
@@ -66,7 +67,7 @@ def read_tables(store: Path) -> Tables:
     lengths = {name: len(values) for name, values in arrays.items()}
     if len(set(lengths.values())) != 1:
         raise StoreError(f"{store}: expected tables of one length, found {lengths}")
-    for name in ("split", "image_size", "intrinsics", "baseline", "cam_to_road"):
+    for name in ("split", "image_size", "intrinsics", "baseline", "cam_to_road", "gravity"):
         if arrays[name].dtype != TABLES[name].dtype:
             raise StoreError(
                 f"{store / name}: expected {TABLES[name].dtype}, found {arrays[name].dtype}"
@@ -79,6 +80,7 @@ def read_tables(store: Path) -> Tables:
         intrinsics=arrays["intrinsics"],
         baseline=arrays["baseline"],
         cam_to_road=arrays["cam_to_road"],
+        gravity=arrays["gravity"],
     )
 
 
@@ -144,7 +146,6 @@ class Store:
         if not -len(self) <= index < len(self):
             raise IndexError(f"{self.path}: expected a frame below {len(self)}, found {index}")
         index %= len(self)
-        road = self.tables.cam_to_road[index]
         return StoredFrame.fetch(
             index,
             self.arrays,
@@ -152,7 +153,7 @@ class Store:
             id=self.ids[index],
             group=self.tables.group[index],
             baseline_m=float(self.tables.baseline[index]),
-            cam_to_road=None if np.isnan(road).any() else road,
+            cam_to_road=self.cam_to_road(index),
         )
 
     def __iter__(self) -> Iterator[Frame]:
@@ -167,6 +168,11 @@ class Store:
         for array in self.arrays.values():
             check_size((height, width), array.shape[1:], f"{self.path}: frame {number}")
         return Camera.from_matrix(self.tables.intrinsics[number], width, height)
+
+    def cam_to_road(self, number: int) -> npt.NDArray[np.float64] | None:
+        """Return a frame's (3, 4) transform from the camera to the road frame; None = none."""
+        transform = self.tables.cam_to_road[number]
+        return None if np.isnan(transform).any() else transform
 
     def indices(self, split: str | None = None) -> npt.NDArray[np.int64]:
         """Return the numbers of a split's frames; None = all.

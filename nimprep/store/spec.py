@@ -163,6 +163,16 @@ TABLES: dict[str, ArraySpec] = {
             "coordinates": COORDINATES,
         },
     ),
+    "gravity": ArraySpec(
+        ("frame", "axis"),
+        "float64",
+        "NaN",
+        {
+            "long_name": "direction of gravity in the camera frame that HHA was made with",
+            "units": "1",
+            "coordinates": COORDINATES,
+        },
+    ),
 }
 """The arrays with one entry per frame, which every store has."""
 
@@ -170,6 +180,7 @@ TABLE_SHAPES: dict[str, tuple[int, ...]] = {
     "image_size": (2,),
     "intrinsics": (3, 3),
     "cam_to_road": (3, 4),
+    "gravity": (3,),
 }
 """What follows the frame dimension in the tables that have more than one."""
 

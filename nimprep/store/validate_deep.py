@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.modalities import DERIVED, Recipe, derive
+from nimprep.derive.modalities import DERIVED, derive, fill_frame, recipe_from
 from nimprep.errors import NimprepError
 from nimprep.frame import IGNORE_LABEL, Frame
 from nimprep.store.frames import depth_from_millimetres, normals_to_integers
@@ -65,8 +65,12 @@ def _frame_problems(store: Store, number: int, *, recompute: bool) -> list[str]:
         images[name] = np.ascontiguousarray(image[:height, :width])
     if "label" in images:
         problems += _label_problems(store, images["label"])
+    if "hha" in images and "depth" in images:
+        problems += _hha_problems(store, number, images)
     if "normal" in images:
-        problems += _normal_problems(images["normal"], images.get("depth"))
+        recipe = recipe_from(store.attributes["modalities"])
+        filled = recipe.fill != "none" and not recipe.store_filled
+        problems += _normal_problems(images["normal"], images.get("depth"), filled=filled)
     if recompute and not problems and "depth" in images:
         problems += _recomputed_problems(store, number, images)
     return problems
@@ -79,7 +83,19 @@ def _label_problems(store: Store, label: npt.NDArray[np.uint8]) -> list[str]:
     return [f"label: expected {known}, found {unknown}"] if unknown else []
 
 
-def _normal_problems(normal: npt.NDArray[Any], depth: npt.NDArray[np.uint16] | None) -> list[str]:
+def _hha_problems(store: Store, number: int, images: dict[str, npt.NDArray[Any]]) -> list[str]:
+    gravity = store.tables.gravity[number]
+    if not np.isclose(np.linalg.norm(gravity), 1):
+        return [f"gravity: expected a unit vector beside HHA, found {gravity.tolist()}"]
+    some = images["hha"].any(axis=2)
+    # HHA of filled depth is there in its holes too.
+    wrong = int(((images["depth"] > 0) & ~some).sum())
+    return [f"hha: expected a value where depth is, found {wrong} pixels without"] if wrong else []
+
+
+def _normal_problems(
+    normal: npt.NDArray[Any], depth: npt.NDArray[np.uint16] | None, *, filled: bool
+) -> list[str]:
     problems = []
     square = np.einsum("hwc,hwc->hw", normal, normal, dtype=np.float64)
     some = square > 0
@@ -88,40 +104,56 @@ def _normal_problems(normal: npt.NDArray[Any], depth: npt.NDArray[np.uint16] | N
     off = np.abs(np.sqrt(square) - scale) > np.sqrt(3) / 2 + 1e-6
     if (off & some).any():
         problems.append(f"normal: expected unit vectors, found {int((off & some).sum())} others")
-    if depth is not None and ((depth > 0) != some).any():
-        wrong = int(((depth > 0) != some).sum())
-        problems.append(f"normal: expected one exactly where depth is, found {wrong} pixels not so")
+    if depth is not None:
+        # Normals of filled depth are there in its holes too.
+        wrong = (depth > 0) & ~some if filled else (depth > 0) != some
+        if wrong.any():
+            problems.append(
+                f"normal: expected one exactly where depth is, found {int(wrong.sum())} pixels "
+                "not so"
+            )
     return problems
-
-
-def recipe_of(store: Store) -> Recipe:
-    """Return how a store says its derived modalities were made."""
-    made = store.attributes["modalities"]
-    if "normal" not in made:
-        return Recipe()
-    normal = made["normal"]
-    return Recipe(
-        normals=normal["method"], sign_filter=bool(normal["parameters"].get("sign_filter", False))
-    )
 
 
 def _recomputed_problems(
     store: Store, number: int, images: dict[str, npt.NDArray[Any]]
 ) -> list[str]:
     """Make the derived modalities again from depth and compare; one step of rounding may differ."""
-    depth_m = depth_from_millimetres(images["depth"])
-    frame = Frame(id=store.ids[number], camera=store.camera(number), depth_m=depth_m)
+    recipe = recipe_from(store.attributes["modalities"])
+    frame = Frame(
+        id=store.ids[number],
+        camera=store.camera(number),
+        rgb=images.get("rgb"),
+        depth_m=depth_from_millimetres(images["depth"]),
+        cam_to_road=store.cam_to_road(number),
+    )
+    missing = None
+    wanted = [name for name in images if name in DERIVED]
+    if recipe.store_filled:
+        # Which pixels were filled is not stored, and HHA depends on it.
+        wanted = [name for name in wanted if name != "hha"]
+    elif recipe.fill == "colorization" and frame.rgb is None:
+        return []
+    else:
+        frame, missing = fill_frame(frame, recipe)
     try:
-        derived = derive(frame, tuple(images), recipe_of(store))
+        derived = derive(frame, missing, wanted, recipe)
     except NimprepError as error:
         return [f"recomputation: {error}"]
     problems = []
-    if "normal" in derived:
-        again = normals_to_integers(derived["normal"], str(images["normal"].dtype))
-        apart = np.abs(again.astype(np.int32) - images["normal"]).max(axis=2) > 1
+    for name, again in derived.images.items():
+        stored = images[name]
+        if name == "normal":
+            again = normals_to_integers(again, str(stored.dtype))
+        apart = np.abs(again.astype(np.int32) - stored).max(axis=2) > 1
         if apart.any():
+            method = store.attributes["modalities"][name]["method"]
             problems.append(
-                f"normal: expected what {store.attributes['modalities']['normal']['method']!r} "
-                f"makes of the depth, found {int(apart.sum())} pixels apart"
+                f"{name}: expected what {method!r} makes of the depth, "
+                f"found {int(apart.sum())} pixels apart"
             )
+    if "hha" in wanted and not np.allclose(derived.gravity, store.tables.gravity[number]):
+        problems.append(
+            f"gravity: expected {derived.gravity}, found {store.tables.gravity[number]}"
+        )
     return problems

@@ -89,7 +89,7 @@ def test_normals_can_be_kept_finer(gmrp: Path, tmp_path: Path) -> None:
     assert np.abs(exact - frame.normal).max() < 1e-4
     assert store.attributes["modalities"]["normal"] == {
         "method": "nim",
-        "parameters": {"sign_filter": True},
+        "parameters": {"sign_filter": True, "fill": "none"},
         "dtype": "int16",
     }
     assert validate_store(store.path, deep=True).problems == []
@@ -99,7 +99,7 @@ def test_small_stores_hold_the_same_pixels_in_fewer_bytes(gmrp: Path, tmp_path: 
     fast = nimprep.convert(gmrp, tmp_path / "fast.zarr")
     small = nimprep.convert(gmrp, tmp_path / "small.zarr", codec="small")
     for a, b in zip(fast, small, strict=True):
-        for name in ("rgb", "depth_m", "normal", "label"):
+        for name in ("rgb", "depth_m", "normal", "hha", "label"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
 
 
@@ -108,6 +108,46 @@ def test_only_the_modalities_asked_for_are_stored(gmrp: Path, tmp_path: Path) ->
     store = nimprep.convert(gmrp, tmp_path / "s.zarr", modalities=("normal",))
     assert store.modalities == ("normal",)
     assert store.classes == ()
+
+
+def test_hha_is_stored_with_the_gravity_it_was_made_with(gmrp: Path, tmp_path: Path) -> None:
+    store = nimprep.convert(gmrp, tmp_path / "s.zarr")
+    frame = store[2]
+    assert frame.depth_m is not None
+    gravity = nimprep.estimate_gravity(frame.depth_m, frame.camera)
+    assert np.allclose(store.tables.gravity[2], gravity)
+    assert np.array_equal(frame.hha, nimprep.encode_hha(frame.depth_m, frame.camera))
+    without = nimprep.convert(gmrp, tmp_path / "n.zarr", modalities=("rgb", "depth"))
+    assert np.isnan(without.tables.gravity).all()
+
+
+@pytest.mark.parametrize("method", ["nearest", "linear", "colorization"])
+def test_filling_serves_normals_and_hha_and_leaves_depth_raw(
+    gmrp: Path, tmp_path: Path, method: str
+) -> None:
+    store = nimprep.convert(gmrp, tmp_path / "s.zarr", fill=method)
+    frame = store[1]
+    assert frame.depth_m is not None
+    assert frame.normal is not None
+    filled, mask = nimprep.fill_depth(frame.depth_m, method, frame.rgb)
+    assert mask.any()
+    assert (frame.depth_m[mask] == 0).all()
+    assert np.array_equal(frame.normal.any(axis=2), filled > 0)
+    assert np.array_equal(frame.hha, nimprep.encode_hha(filled, frame.camera, missing=mask))
+    for name in ("normal", "hha"):
+        assert store.attributes["modalities"][name]["parameters"]["fill"] == method
+    assert validate_store(store.path, deep=True).problems == []
+
+
+def test_filled_depth_is_stored_only_when_told_and_recorded(gmrp: Path, tmp_path: Path) -> None:
+    store = nimprep.convert(gmrp, tmp_path / "s.zarr", fill="nearest", store_filled=True)
+    frame = store[1]
+    assert frame.depth_m is not None
+    assert (frame.depth_m > 0).all()
+    assert store.attributes["modalities"]["depth"]["parameters"] == {"fill": "nearest"}
+    assert validate_store(store.path, deep=True).problems == []
+    with pytest.raises(ArrayError, match="a way to fill"):
+        nimprep.convert(gmrp, tmp_path / "t.zarr", store_filled=True)
 
 
 def test_a_split_file_splits(gmrp: Path, tmp_path: Path) -> None:

@@ -141,6 +141,10 @@ DEEP = {
         "exactly where depth is",
     ),
     "a normal missing": (edit("normal", setter((1, 9, 9), 0)), "exactly where depth is"),
+    "hha missing": (edit("hha", setter((1, 9, 9), 0)), "value where depth is"),
+    "hha of another scene": (edit("hha", setter((1, 9, 9), 77)), "'hha' makes of the depth"),
+    "gravity that is no direction": (edit("gravity", setter(1, 0)), "unit vector beside HHA"),
+    "another gravity": (edit("gravity", setter(1, (0, 0, 1))), "gravity: expected"),
     "a normal of another surface": (
         edit("normal", setter((1, 9, 9), (-127, 0, 0))),
         "makes of the depth",

@@ -1,0 +1,132 @@
+"""Encode depth as HHA: horizontal disparity, height above ground, angle with gravity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.camera import Camera
+from nimprep.derive.gravity import Scene, gravity_of_scene, scene_from_depth
+from nimprep.derive.kernels.hha_channels import encode_block, lowest_block
+from nimprep.derive.threads import run_blocks
+from nimprep.errors import ArrayError
+
+_NO_ROTATION_BELOW_DEG = 0.1
+_LOWEST_GROUND_CM = -90.0
+_ASSUMED_GROUND_CM = -130.0
+
+
+def _angle_levels(
+    bins_per_unit: int = 4096,
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
+    """Tabulate whole degrees over cosines, for `encode_block`.
+
+    The level rises at the cosines of 0.5, 1.5 ... 179.5 degrees. They lie at least 3.0e-4 apart, so
+    that a bin of 1/4096 holds one at most.
+    """
+    thresholds = np.append(np.cos(np.radians(np.arange(180) + 0.5)), -2.0)
+    upper = np.arange(1, 2 * bins_per_unit + 2) / bins_per_unit - 1
+    return np.searchsorted(-thresholds, -upper).astype(np.uint8), thresholds
+
+
+_ANGLE_LEVELS = _angle_levels()
+
+
+def encode_hha(
+    depth_m: Any,
+    camera: Camera,
+    missing: Any = None,
+    gravity: Any = None,
+    num_threads: int | None = None,
+) -> npt.NDArray[np.uint8]:
+    """Encode a depth image as HHA.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating array, metres
+        0 or NaN = no depth.
+    camera : Camera
+        Its size must be the image's. Pixels count from 0: a principal point counted from 1, as
+        MATLAB calibrations have it, is one too large.
+    missing : (H, W) bool, optional
+        True where the depth was filled in rather than measured. These pixels take part in the
+        points but not in the planes.
+    gravity : (3,) array_like, optional
+        Known direction of gravity in the camera frame (x right, y down, z forward), pointing down,
+        of any length. Estimated where not given.
+    num_threads : int, optional
+        None = one thread per core, 1 = the calling thread alone. The result is the same.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        Horizontal disparity, 31000 / max(Z, 100) with Z in cm; height above the lowest point, cm;
+        angle between normal and gravity, degrees, plus 38 (floor 38, wall 128, ceiling 218). Each
+        rounded to nearest even and cut to 255. (0, 0, 0) where there is no depth, and nowhere else.
+
+    Raises
+    ------
+    ArrayError
+        An array of the wrong shape, type or values, or depth that is not in metres: its median
+        lies outside 0.05 to 100.
+
+    Notes
+    -----
+    Normals are fitted to the window of radius 3. A window without three points off a line has no
+    normal, which counts as 180 degrees. The reference does not see that its points lie on a line
+    and gives them a normal made of rounding errors; with `missing` it is reproduced, so that the
+    pixels are the reference's.
+
+    Where the lowest point is less than 90 cm below the camera, no ground is taken to be in view and
+    the ground to be 130 cm below the camera.
+
+    References
+    ----------
+    Gupta et al., Learning rich features from RGB-D images for object detection and segmentation,
+    ECCV 2014.
+    """
+    known = None if gravity is None else _checked_gravity(gravity)
+    scene = scene_from_depth(depth_m, camera, missing, num_threads)
+    direction = gravity_of_scene(scene) if known is None else known
+    return _encode_scene(scene, direction, repeat_lines=missing is not None)
+
+
+def _encode_scene(
+    scene: Scene, gravity: npt.NDArray[np.float64], repeat_lines: bool
+) -> npt.NDArray[np.uint8]:
+    out = np.empty((*scene.depth_m.shape, 3), np.uint8)
+    blocks = scene.blocks
+    tilt = np.degrees(np.arccos(np.clip(gravity[1], -1, 1)))
+    down = tuple(gravity.tolist()) if tilt > _NO_ROTATION_BELOW_DEG else (0.0, 1.0, 0.0)
+    lowest = np.empty(len(blocks))
+
+    def find_lowest(block: int) -> None:
+        lowest[block] = lowest_block(scene.depth_m, *blocks[block], scene.camera, down)
+
+    run_blocks(find_lowest, len(blocks), scene.num_threads)
+    ground = float(lowest.min())
+    if ground > _LOWEST_GROUND_CM:
+        ground = _ASSUMED_GROUND_CM
+    toward = tuple(gravity.tolist())
+
+    def encode(block: int) -> None:
+        rows = blocks[block]
+        encode_block(
+            *(scene.depth_m, scene.inverse, *rows, scene.camera),
+            *(toward, down, ground, _ANGLE_LEVELS, repeat_lines, out),
+        )
+
+    run_blocks(encode, len(blocks), scene.num_threads)
+    return out
+
+
+def _checked_gravity(gravity: Any) -> npt.NDArray[np.float64]:
+    vector = np.asarray(gravity, dtype=np.float64)
+    if vector.shape != (3,):
+        raise ArrayError(f"gravity: expected 3 numbers, found shape {vector.shape}")
+    length = float(np.linalg.norm(vector))
+    if not np.isfinite(length) or length == 0:
+        raise ArrayError(f"gravity: expected a direction, found {vector.tolist()}")
+    return np.asarray(vector / length)

@@ -1,0 +1,83 @@
+"""Share the blocks of one image among threads; kernels release the GIL, so they run at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+from nimprep.errors import ArrayError
+
+_pool: ThreadPoolExecutor | None = None
+
+
+def available_cores() -> int:
+    """Count the cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def run_blocks(function: Callable[[int], object], count: int, num_threads: int | None) -> None:
+    """Call ``function(i)`` once for each i in 0..count-1, in any order, and wait for all.
+
+    Parameters
+    ----------
+    function : callable
+        One block's work. Blocks must write to places of their own; then the result is the same
+        on any number of threads.
+    count : int
+        Number of blocks.
+    num_threads : int or None
+        None = one thread per core; 1 = the calling thread alone, without any pool.
+
+    Raises
+    ------
+    ArrayError
+        `num_threads` is not a positive integer or None.
+    """
+    threads = _checked_threads(num_threads)
+    # Threads take the next block as they get free: cores of a shared machine are not equally fast.
+    blocks = iter(range(count))
+    helpers = min(threads, count) - 1
+    futures = [_executor().submit(_work, function, blocks) for _ in range(helpers)]
+    try:
+        _work(function, blocks)
+    finally:
+        # Nobody may still write to the arrays once this returns, not even after an error. A helper
+        # that has not begun by now is not needed.
+        errors = [future.exception() for future in futures if not future.cancel()]
+    for error in errors:
+        if error is not None:
+            raise error
+
+
+def _work(function: Callable[[int], object], blocks: Iterator[int]) -> None:
+    for block in blocks:
+        function(block)
+
+
+def _checked_threads(num_threads: int | None) -> int:
+    if num_threads is None:
+        return available_cores()
+    if isinstance(num_threads, bool) or int(num_threads) != num_threads or num_threads < 1:
+        raise ArrayError(f"num_threads: expected None or an integer >= 1, found {num_threads!r}")
+    return int(num_threads)
+
+
+def _executor() -> ThreadPoolExecutor:
+    """Return the pool shared by all calls, made when first needed."""
+    global _pool
+    if _pool is None:
+        _pool = ThreadPoolExecutor(max_workers=available_cores(), thread_name_prefix="nimprep")
+    return _pool
+
+
+def _forget_pool() -> None:
+    """Drop the pool in a forked child: its threads exist in the parent only."""
+    global _pool
+    _pool = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool)
