@@ -31,7 +31,7 @@ from nimprep.kitti.lidar import project_lidar, read_velodyne
 from nimprep.kitti.names import official_names
 from nimprep.kitti.parallel import map_frames
 from nimprep.kitti.stereo import stereo_depth
-from nimprep.readers.images import read_rgb
+from nimprep.images import read_rgb
 
 PROJECT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("NIMPREP_REFERENCE_DATA", PROJECT.parent / "shared" / "data"))

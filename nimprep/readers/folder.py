@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import MODALITIES, Frame
+from nimprep.images import read_depth, read_header, read_label, read_rgb
 from nimprep.readers.base import DatasetInfo
 from nimprep.readers.cameras import (
     CameraSource,
@@ -20,7 +21,6 @@ from nimprep.readers.cameras import (
 )
 from nimprep.readers.description import Description, files_by_id, group_of
 from nimprep.readers.frames import check_label, check_same_shape, depth_in_metres, match_frames
-from nimprep.readers.images import read_depth, read_header, read_label, read_rgb
 from nimprep.splits import SplitName
 
 _NOMINAL_NOTE = (

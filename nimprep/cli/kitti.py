@@ -1,0 +1,187 @@
+"""`nimprep kitti`: from the benchmark's folders to the uploaded zip."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from nimprep.cli.options import json_option, progress_bars, quiet_option
+
+if TYPE_CHECKING:
+    from nimprep.kitti.evaluation import Evaluation, View
+    from nimprep.kitti.names import Target
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_FOLDER = click.Path(path_type=Path)
+
+_calib = click.option(
+    "--calib",
+    type=_FOLDER,
+    metavar="DIR",
+    help="The dataset's calib folder; needed for images that are still in perspective.",
+)
+
+
+def _view_option(default: str) -> Callable[[Command], Command]:
+    return click.option(
+        "--view",
+        type=click.Choice(["bev", "perspective"]),
+        default=default,
+        show_default=True,
+        help="Bird's-eye view or the camera's.",
+    )
+
+
+@click.group()
+def kitti() -> None:
+    """KITTI road: depth, bird's-eye view, scores, submission, pictures."""
+
+
+@kitti.command()
+@click.argument("src", type=_FOLDER)
+@click.argument("out", type=_FOLDER)
+@click.option(
+    "--from",
+    "wanted",
+    type=click.Choice(["auto", "lidar", "stereo"]),
+    default="auto",
+    show_default=True,
+    help="auto: depth_u16 where it is there, else LiDAR, else stereo.",
+)
+@click.option("--sparse", is_flag=True, help="Leave LiDAR and stereo as measured, not filled.")
+@quiet_option
+def depth(src: Path, out: Path, wanted: Any, sparse: bool, quiet: bool) -> None:
+    """Write dense depth of the road folder SRC to OUT, 16-bit millimetres.
+
+    OUT/depth.json records which source each frame's depth came from.
+    """
+    from collections import Counter
+
+    from nimprep.kitti.depth import RECORD, write_depth
+
+    chosen = write_depth(src, out, wanted, sparse, progress_bars(quiet))
+    counts = ", ".join(
+        f"{n} from {source}" for source, n in sorted(Counter(chosen.values()).items())
+    )
+    click.echo(f"{len(chosen)} frames: {counts}; recorded in {out / RECORD}")
+
+
+@kitti.command()
+@click.argument("predictions", type=_FOLDER)
+@click.argument("out", type=_FOLDER)
+@_calib
+@quiet_option
+def bev(predictions: Path, out: Path, calib: Path | None, quiet: bool) -> None:
+    """Transform PREDICTIONS (or ground truths) to the bird's-eye view, into OUT."""
+    from nimprep.kitti.transform import transform_folder
+
+    written = transform_folder(predictions, out, calib, progress_bars(quiet))
+    click.echo(f"{len(written)} images written to {out}")
+
+
+@kitti.command()
+@click.argument("predictions", type=_FOLDER)
+@click.argument("gt", type=_FOLDER)
+@_calib
+@_view_option("bev")
+@json_option
+@quiet_option
+def evaluate(
+    predictions: Path, gt: Path, calib: Path | None, view: View, as_json: bool, quiet: bool
+) -> None:
+    """Score PREDICTIONS against the ground truths GT as the benchmark does, in percent."""
+    from nimprep.kitti.evaluation import evaluate_predictions
+
+    evaluation = evaluate_predictions(predictions, gt, calib, view, progress_bars(quiet))
+    click.echo(json.dumps(evaluation.to_dict(), indent=2) if as_json else _score_table(evaluation))
+
+
+def _score_table(evaluation: Evaluation) -> str:
+    measures = ("MaxF", "AP", "PRE", "REC", "FPR", "FNR")
+    lines = [f"{'':10}" + "".join(f"{name:>8}" for name in measures) + f"{'threshold':>11}"]
+    for table, score in evaluation.scores.items():
+        values = "".join(f"{getattr(score, name):8.2f}" for name in measures)
+        lines.append(f"{table:10}{values}{score.best_threshold:11.3f}")
+    return "\n".join(lines)
+
+
+@kitti.command()
+@click.argument("predictions", type=_FOLDER)
+@click.argument("out", type=_FOLDER, metavar="OUT.zip")
+@_calib
+@click.option(
+    "--type",
+    "target",
+    type=click.Choice(["road", "lane"]),
+    default="road",
+    show_default=True,
+    help="All 290 test frames, or the 96 of category um.",
+)
+@click.option("--partial", is_flag=True, help="Pack what is there, for a trial.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing zip.")
+@quiet_option
+def pack(
+    predictions: Path,
+    out: Path,
+    calib: Path | None,
+    target: Target,
+    partial: bool,
+    overwrite: bool,
+    quiet: bool,
+) -> None:
+    """Check PREDICTIONS and pack them into the zip that the benchmark takes.
+
+    PREDICTIONS holds <cat>_<type>_<number>.png (8-bit confidences) or .npy (probabilities).
+    """
+    from nimprep.kitti.submission import pack_submission
+
+    packed = pack_submission(
+        predictions,
+        out,
+        calib,
+        target=target,
+        partial=partial,
+        overwrite=overwrite,
+        progress=progress_bars(quiet),
+    )
+    click.echo(
+        f"{packed.path}: {len(packed.names)} predictions, {packed.transformed} of them transformed"
+    )
+
+
+@kitti.command()
+@click.argument("predictions", type=_FOLDER)
+@click.argument("gt", type=_FOLDER)
+@click.argument("images", type=_FOLDER)
+@click.argument("out", type=_FOLDER)
+@_calib
+@_view_option("perspective")
+@click.option(
+    "--threshold",
+    type=click.FloatRange(0, 1),
+    default=0.5,
+    show_default=True,
+    help="Confidence at or above which a pixel counts as road.",
+)
+@quiet_option
+def overlay(
+    predictions: Path,
+    gt: Path,
+    images: Path,
+    out: Path,
+    calib: Path | None,
+    view: View,
+    threshold: float,
+    quiet: bool,
+) -> None:
+    """Draw PREDICTIONS against GT over IMAGES: hits green, misses red, false alarms blue."""
+    from nimprep.kitti.overlay import OverlayFolders, write_overlays
+
+    folders = OverlayFolders(predictions, gt, images, calib)
+    written = write_overlays(folders, out, view, threshold, progress_bars(quiet))
+    click.echo(f"{len(written)} pictures written to {out}")

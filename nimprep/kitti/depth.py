@@ -1,0 +1,214 @@
+"""Dense depth of a KITTI road frame, from whichever source is there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import DecodeError, LayoutError
+from nimprep.images import read_depth, read_header, read_rgb
+from nimprep.kitti.calibration import FRAME_SHAPES, Calibration, read_calibration
+from nimprep.kitti.images import png_bytes, refuse_inside, write_whole
+from nimprep.kitti.layout import RoadFiles, list_road_files
+from nimprep.kitti.lidar import project_lidar, read_velodyne
+from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.kitti.stereo import stereo_depth
+
+DepthSource = Literal["depth_u16", "lidar", "stereo"]
+
+SATURATED_MM = 65535
+"""Millimetres too many for 16 bits are written as this, and it is read as no depth."""
+
+RECORD = "depth.json"
+
+_ORDER: tuple[DepthSource, ...] = ("depth_u16", "lidar", "stereo")
+
+
+def millimetres_from_metres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+    """Return depth as a depth_u16 image holds it: 0 = none, 65535 = 65.535 m or more."""
+    thousandths: npt.NDArray[np.float32] = np.rint(depth_m * np.float32(1000))
+    return np.clip(thousandths, 0, SATURATED_MM).astype(np.uint16)
+
+
+def metres_from_millimetres(depth_mm: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+    """Return a depth_u16 image as float32 metres; 0 and 65535 become 0 = none."""
+    depth_m = np.divide(depth_mm, np.float32(1000), dtype=np.float32)
+    depth_m[depth_mm == SATURATED_MM] = 0
+    return depth_m
+
+
+def source_file(files: RoadFiles, source: DepthSource) -> Path:
+    """Return the file that makes a source available for a frame."""
+    return {"depth_u16": files.depth, "lidar": files.scan, "stereo": files.right_image}[source]
+
+
+def choose_source(
+    files: RoadFiles, wanted: Literal["auto", "lidar", "stereo"] = "auto", sparse: bool = False
+) -> DepthSource:
+    """Return the depth source to use for a frame: depth_u16, else LiDAR, else stereo.
+
+    `sparse` leaves depth_u16 out, which is dense.
+
+    Raises
+    ------
+    LayoutError
+        None of what was looked for is there.
+    """
+    choices = [s for s in _ORDER if wanted in ("auto", s) and not (sparse and s == "depth_u16")]
+    for source in choices:
+        if source_file(files, source).is_file():
+            return source
+    places = " or ".join(str(source_file(files, s).relative_to(files.folder)) for s in choices)
+    raise LayoutError(
+        f"{files.folder}: expected {places} to make depth of frame {files.id}, found none"
+        + ("; --from auto takes what each frame has" if wanted != "auto" else "")
+    )
+
+
+def check_frame_size(shape: tuple[int, int], calibration: Calibration, image: Path) -> None:
+    """Raise `DecodeError` where P2 is known to belong to images of another size."""
+    expected = FRAME_SHAPES.get(round(float(calibration.matrix("P2")[0, 0]), 4), shape)
+    if expected != shape:
+        raise DecodeError(
+            f"{image}: expected {expected[1]}x{expected[0]} pixels for P2 of {calibration.path}, "
+            f"found {shape[1]}x{shape[0]}"
+        )
+
+
+def frame_depth(
+    files: RoadFiles, source: DepthSource, sparse: bool = False
+) -> npt.NDArray[np.float32]:
+    """Return a frame's depth, as a depth_u16 image of it would be read.
+
+    LiDAR and stereo are interpolated linearly, inside the convex hull of what was measured, and
+    rounded to millimetres.
+
+    Parameters
+    ----------
+    files : RoadFiles
+    source : {"depth_u16", "lidar", "stereo"}
+    sparse : bool
+        Leave LiDAR and stereo as measured.
+
+    Returns
+    -------
+    (H, W) float32, metres
+        0 = none, and where 65.535 m or more.
+
+    Raises
+    ------
+    DecodeError
+        A file is bad, or sizes differ.
+    """
+    return metres_from_millimetres(frame_depth_mm(files, source, sparse))
+
+
+def frame_depth_mm(
+    files: RoadFiles, source: DepthSource, sparse: bool = False
+) -> npt.NDArray[np.uint16]:
+    """Return a frame's depth as `frame_depth` does, in millimetres; 65535 = saturated."""
+    calibration = read_calibration(files.calibration)
+    header = read_header(files.image)
+    shape = (header.height, header.width)
+    check_frame_size(shape, calibration, files.image)
+    measure: dict[DepthSource, Callable[[], npt.NDArray[Any]]] = {
+        "depth_u16": lambda: _stored_depth(files),
+        "lidar": lambda: project_lidar(read_velodyne(files.scan), calibration, *shape),
+        "stereo": lambda: _stereo_of_frame(files, calibration),
+    }
+    depth = measure[source]()
+    if depth.shape != shape:
+        raise DecodeError(
+            f"{source_file(files, source)}: expected {shape[1]}x{shape[0]} pixels like "
+            f"{files.image}, found {depth.shape[1]}x{depth.shape[0]}"
+        )
+    if depth.dtype == np.uint16:
+        return depth
+    if not depth.any():
+        raise DecodeError(
+            f"{source_file(files, source)}: expected depth somewhere in the image, found none"
+        )
+    if not sparse:
+        from nimprep.derive.completion import fill_depth
+
+        depth, _ = fill_depth(depth, method="linear", num_threads=1)
+    return millimetres_from_metres(depth)
+
+
+def _stored_depth(files: RoadFiles) -> npt.NDArray[Any]:
+    depth = read_depth(files.depth)
+    if depth.dtype != np.uint16:
+        raise DecodeError(f"{files.depth}: expected 16-bit millimetres, found {depth.dtype}")
+    if not ((depth > 0) & (depth < SATURATED_MM)).any():
+        raise DecodeError(f"{files.depth}: expected depth, found no pixel that has any")
+    return depth
+
+
+def _stereo_of_frame(files: RoadFiles, calibration: Calibration) -> npt.NDArray[np.float32]:
+    left, right = read_rgb(files.image), read_rgb(files.right_image)
+    if left.shape != right.shape:
+        raise DecodeError(
+            f"{files.right_image}: expected {left.shape[1]}x{left.shape[0]} pixels like "
+            f"{files.image}, found {right.shape[1]}x{right.shape[0]}"
+        )
+    return stereo_depth(left, right, calibration)
+
+
+def write_depth(
+    src: Path | str,
+    out: Path | str,
+    wanted: Literal["auto", "lidar", "stereo"] = "auto",
+    sparse: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, DepthSource]:
+    """Write the depth of every frame of a road folder as ``OUT/training/depth_u16/<name>.png``.
+
+    16-bit millimetres: 0 = none, 65535 = 65.535 m or more. ``OUT/depth.json`` records the source
+    of each frame (schemas/kitti-depth.schema.json).
+
+    Parameters
+    ----------
+    src : folder
+        ``data_road``; never written to.
+    out : folder
+        Made as needed; images of the same names are replaced.
+    wanted : {"auto", "lidar", "stereo"}
+        auto: depth_u16 where it is there, else LiDAR, else stereo.
+    sparse : bool
+        Leave LiDAR and stereo as measured.
+
+    Returns
+    -------
+    dict of frame id to source
+
+    Raises
+    ------
+    LayoutError
+        No frames, a frame without a source, or `out` inside `src`.
+    DecodeError
+        A file is bad.
+    """
+    src, out = Path(src), Path(out)
+    refuse_inside(out, src)
+    chosen = {files: choose_source(files, wanted, sparse) for files in list_road_files(src)}
+
+    def write(item: tuple[RoadFiles, DepthSource]) -> None:
+        files, source = item
+        image = png_bytes(frame_depth_mm(files, source, sparse))
+        write_whole(out / files.split / "depth_u16" / f"{files.name}.png", image)
+
+    for _ in map_frames("depth", write, list(chosen.items()), progress):
+        pass
+    record = {
+        "format": "nimprep-kitti-depth",
+        "version": "1.0",
+        "sparse": sparse,
+        "frames": {files.id: source for files, source in chosen.items()},
+    }
+    write_whole(out / RECORD, (json.dumps(record, indent=2) + "\n").encode())
+    return {files.id: source for files, source in chosen.items()}

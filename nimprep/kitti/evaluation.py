@@ -1,0 +1,237 @@
+"""Scores as the KITTI road benchmark gives them, in either view."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import ArrayError, DecodeError, LayoutError
+from nimprep.kitti.bev import bring_to_bev, check_size, frame_calibration
+from nimprep.kitti.images import GroundTruth, read_confidence, read_ground_truth
+from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
+from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.metrics import LEVELS, Counts, count_confidences, precision_recall_curve
+
+View = Literal["bev", "perspective"]
+
+TABLES = ("um_road", "umm_road", "uu_road", "um_lane", "urban")
+"""Every table there can be, in order; "urban" pools the road categories."""
+
+NAMED_AT_MOST = 10
+"""Messages name this many files and count the rest."""
+
+
+@dataclass(frozen=True)
+class RoadScore:
+    """Hold one table's row.
+
+    Attributes
+    ----------
+    MaxF, AP, PRE, REC, FPR, FNR : float
+        Percent: the highest F-score; average precision; and, at the highest F-score's threshold,
+        precision, recall, false positive and false negative rate.
+    best_threshold : float
+        Confidence, 0 to 1, at or above which a pixel counts as road for the highest F-score.
+    positives, negatives : int
+        Evaluated pixels by truth.
+    """
+
+    MaxF: float
+    AP: float
+    PRE: float
+    REC: float
+    FPR: float
+    FNR: float
+    best_threshold: float
+    positives: int
+    negatives: int
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Hold the scores of a folder of predictions.
+
+    Attributes
+    ----------
+    scores : dict of str to RoadScore
+        By table, in the order of `TABLES`; those there are predictions for.
+    """
+
+    scores: dict[str, RoadScore]
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Return the scores as `nimprep kitti evaluate --json` prints them."""
+        return {table: asdict(score) for table, score in self.scores.items()}
+
+
+def score_counts(counts: Counts) -> RoadScore:
+    """Score counts of confidences, (2, 256), summed over a table's frames.
+
+    Raises
+    ------
+    ArrayError
+        No positive was counted.
+    """
+    curve = precision_recall_curve(counts)
+    best = curve.best
+    recall = float(curve.recall[best])
+    return RoadScore(
+        MaxF=100 * float(curve.f_score[best]),
+        AP=100 * curve.average_precision,
+        PRE=100 * float(curve.precision[best]),
+        REC=100 * recall,
+        FPR=100 * float(curve.false_positive_rate[best]),
+        FNR=100 * (1 - recall),
+        best_threshold=float(curve.thresholds[best]),
+        positives=curve.positives,
+        negatives=curve.negatives,
+    )
+
+
+def evaluate_predictions(
+    predictions: Path | str,
+    ground_truth: Path | str,
+    calib: Path | str | None = None,
+    view: View = "bev",
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Score a folder of predictions against a folder of ground truths.
+
+    Parameters
+    ----------
+    predictions : folder
+        ``<cat>_<type>_<number>``, as .png (8-bit confidences) or .npy (probabilities in [0, 1]).
+    ground_truth : folder
+        The benchmark's ``gt_image_2``, or a part of it. For each type (road, lane) among the
+        predictions, every ground truth needs a prediction.
+    calib : folder, optional
+        Calibrations; needed where an image has to be transformed.
+    view : {"bev", "perspective"}
+        In the bird's-eye view, images of other sizes than 400x800 are transformed first.
+
+    Warns
+    -----
+    UserWarning
+        Predictions without a ground truth are left out.
+
+    Raises
+    ------
+    LayoutError
+        A folder or a calibration is missing, a name is wrong, or a prediction is missing.
+    DecodeError
+        An image or a calibration is bad, sizes differ, or nothing is evaluated.
+    """
+    predictions, ground_truth = Path(predictions), Path(ground_truth)
+    guesses = predictions_by_name(predictions, PREDICTION_SUFFIXES)
+    truths = predictions_by_name(ground_truth)
+    wanted = _wanted_names(guesses, truths, predictions, ground_truth)
+    count = partial(
+        _count_frame,
+        guesses=guesses,
+        truths=truths,
+        calib=None if calib is None else Path(calib),
+        view=view,
+    )
+    tables: dict[str, Counts] = {}
+    for name, counts in zip(wanted, map_frames("evaluate", count, wanted, progress), strict=True):
+        for table in (name.table, *(["urban"] if name.target == "road" else [])):
+            tables[table] = tables.get(table, np.zeros((2, LEVELS), np.int64)) + counts
+    scores = {}
+    for table in TABLES:
+        if table in tables:
+            try:
+                scores[table] = score_counts(tables[table])
+            except ArrayError as error:
+                raise DecodeError(
+                    f"{ground_truth}: expected positive pixels in the evaluated area of {table}, "
+                    "found none"
+                ) from error
+    return Evaluation(scores)
+
+
+def _wanted_names(
+    guesses: dict[PredictionName, Path],
+    truths: dict[PredictionName, Path],
+    predictions: Path,
+    ground_truth: Path,
+) -> list[PredictionName]:
+    targets = {name.target for name in guesses}
+    wanted = [name for name in truths if name.target in targets]
+    if not wanted:
+        raise LayoutError(
+            f"{ground_truth}: expected ground truth of type {' or '.join(sorted(targets))} "
+            f"for the predictions in {predictions}, found none"
+        )
+    missing = [name.png for name in wanted if name not in guesses]
+    if missing:
+        raise LayoutError(
+            f"{predictions}: expected a prediction for each of {len(wanted)} ground truths, found "
+            f"{len(wanted) - len(missing)}; missing {listed(missing)}"
+        )
+    unscored = [path.name for name, path in guesses.items() if name not in truths]
+    if unscored:
+        warnings.warn(
+            f"{predictions}: expected a ground truth for each prediction, found none for "
+            f"{len(unscored)}, which are left out: {listed(unscored)}",
+            stacklevel=3,
+        )
+    return wanted
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names joined by commas, the first few of many."""
+    more = len(names) - NAMED_AT_MOST
+    return ", ".join(names[:NAMED_AT_MOST]) + (f" and {more} more" if more > 0 else "")
+
+
+def _count_frame(
+    name: PredictionName,
+    guesses: dict[PredictionName, Path],
+    truths: dict[PredictionName, Path],
+    calib: Path | None,
+    view: View,
+) -> Counts:
+    confidence, truth = read_pair(guesses[name], truths[name], name, calib, view)
+    return count_confidences(confidence, truth.positive, truth.evaluated)
+
+
+def read_pair(
+    guess_path: Path, truth_path: Path, name: PredictionName, calib: Path | None, view: View
+) -> tuple[npt.NDArray[np.uint8], GroundTruth]:
+    """Return a prediction, (H, W) uint8, and its ground truth, both in one view.
+
+    Raises
+    ------
+    LayoutError
+        A calibration is needed and missing.
+    DecodeError
+        A file is bad, sizes differ, or nothing is evaluated.
+    """
+    confidence = read_confidence(guess_path)
+    truth = read_ground_truth(truth_path)
+    if view == "bev":
+        confidence = bring_to_bev(confidence, guess_path, calib, name.frame)
+        truth = GroundTruth(
+            positive=bring_to_bev(truth.positive, truth_path, calib, name.frame),
+            evaluated=bring_to_bev(truth.evaluated, truth_path, calib, name.frame),
+        )
+        if not truth.evaluated.any():
+            raise DecodeError(
+                f"{truth_path}: expected evaluated pixels in the bird's-eye view, found none"
+            )
+    elif calib is not None and (calib / f"{name.frame}.txt").is_file():
+        check_size(confidence.shape, guess_path, frame_calibration(calib, name.frame, guess_path))
+    if confidence.shape != truth.evaluated.shape:
+        (height, width), (high, wide) = confidence.shape, truth.evaluated.shape
+        raise DecodeError(
+            f"{guess_path}: expected its ground truth's {wide}x{high} pixels, "
+            f"found {width}x{height}"
+        )
+    return confidence, truth

@@ -1,0 +1,94 @@
+"""Depth from a Velodyne scan: each return seen by the image_2 camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import ArrayError, DecodeError
+from nimprep.kitti.calibration import Calibration
+
+_BYTES_PER_POINT = 16
+_MAX_BYTES = 1 << 28
+"""A scan holds about 120,000 points, 2 MB; a file of more than 256 MB is no scan."""
+
+
+def read_velodyne(path: Path | str) -> npt.NDArray[np.float32]:
+    """Read a scan: float32 x, y, z, reflectance, little-endian, nothing else.
+
+    Returns
+    -------
+    (N, 4) float32, metres and [0, 1]
+        Scanner frame: x forward, y left, z up.
+
+    Raises
+    ------
+    DecodeError
+        It cannot be read, is empty, holds a part of a point, or a number that is not finite.
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
+            raise DecodeError(
+                f"{path}: expected a scan of at most {_MAX_BYTES} bytes, found {size}"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise DecodeError(f"{path}: expected a Velodyne scan, found {error.strerror}") from error
+    if not data or len(data) % _BYTES_PER_POINT:
+        raise DecodeError(
+            f"{path}: expected whole points of {_BYTES_PER_POINT} bytes, found {len(data)} bytes; "
+            "the file is truncated"
+        )
+    points = np.frombuffer(data, dtype="<f4").reshape(-1, 4).astype(np.float32, copy=False)
+    if not np.isfinite(points).all():
+        raise DecodeError(f"{path}: expected finite coordinates, found NaN or infinity")
+    return points
+
+
+def project_lidar(
+    points: npt.NDArray[np.floating], calibration: Calibration, height: int, width: int
+) -> npt.NDArray[np.float32]:
+    """Return the sparse depth image of a scan; the nearest return of a pixel wins.
+
+    A point falls on the pixel whose centre is nearest; points behind the camera and outside the
+    image are left out.
+
+    Parameters
+    ----------
+    points : (N, 3) or (N, 4) floating, metres
+        Scanner frame; a fourth column is ignored.
+    calibration : Calibration
+        With P2, R0_rect and Tr_velo_to_cam.
+    height, width : int
+        Size of the image.
+
+    Returns
+    -------
+    (height, width) float32, metres
+        Along the image_2 camera's z; 0 = no return.
+
+    Raises
+    ------
+    ArrayError
+        The points have another shape.
+    DecodeError
+        The calibration lacks a matrix.
+    """
+    if points.ndim != 2 or points.shape[1] not in (3, 4):
+        raise ArrayError(f"points: expected (N, 3) or (N, 4), found shape {points.shape}")
+    velo_to_cam = calibration.velo_to_cam
+    seen = points[:, :3].astype(np.float64) @ velo_to_cam[:, :3].T + velo_to_cam[:, 3]
+    seen = seen[seen[:, 2] > 0]
+    image_points = seen @ calibration.intrinsics.T
+    u = np.rint(image_points[:, 0] / image_points[:, 2])
+    v = np.rint(image_points[:, 1] / image_points[:, 2])
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
+    depth_m = np.full(height * width, np.inf, dtype=np.float32)
+    np.minimum.at(depth_m, pixel, seen[inside, 2].astype(np.float32))
+    depth_m[np.isinf(depth_m)] = 0
+    return depth_m.reshape(height, width)

@@ -1,0 +1,152 @@
+"""The paper's figure: what a prediction got right, missed and made up, over the photograph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import ArrayError, DecodeError, LayoutError
+from nimprep.images import read_rgb
+from nimprep.kitti.bev import bring_to_bev
+from nimprep.kitti.evaluation import View, listed, read_pair
+from nimprep.kitti.images import GroundTruth, png_bytes, refuse_inside, write_whole
+from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
+from nimprep.kitti.parallel import Progress, map_frames
+
+TRUE_POSITIVE = (0, 255, 0)
+FALSE_NEGATIVE = (255, 0, 0)
+FALSE_POSITIVE = (0, 0, 255)
+
+
+@dataclass(frozen=True)
+class OverlayFolders:
+    """Name what a set of overlays is drawn from.
+
+    Attributes
+    ----------
+    predictions : Path
+        Confidence maps, ``um_road_000000.png`` or .npy.
+    ground_truth : Path
+        The benchmark's ``gt_image_2``.
+    images : Path
+        Its ``image_2``: ``um_000000.png``.
+    calib : Path, optional
+        Calibrations; needed for the bird's-eye view.
+    """
+
+    predictions: Path
+    ground_truth: Path
+    images: Path
+    calib: Path | None = None
+
+
+def draw_overlay(
+    image: npt.NDArray[np.uint8],
+    confidence: npt.NDArray[np.uint8],
+    truth: GroundTruth,
+    threshold: float = 0.5,
+) -> npt.NDArray[np.uint8]:
+    """Colour the evaluated pixels of a photograph by outcome, half transparent.
+
+    True positives green, false negatives red, false positives blue.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, R, G, B
+    confidence : (H, W) uint8
+    truth : GroundTruth, (H, W)
+    threshold : float
+        Confidence, 0 to 1, at or above which a pixel is called positive.
+
+    Returns
+    -------
+    (H, W, 3) uint8, R, G, B
+
+    Raises
+    ------
+    ArrayError
+        The sizes differ.
+    """
+    for name, array in (("confidence", confidence), ("truth", truth.evaluated)):
+        if array.shape != image.shape[:2]:
+            raise ArrayError(
+                f"{name}: expected the image's size {image.shape[:2]}, found {array.shape}"
+            )
+    called = confidence / 255 >= threshold
+    outcomes = (
+        (called & truth.positive, TRUE_POSITIVE),
+        (~called & truth.positive, FALSE_NEGATIVE),
+        (called & ~truth.positive, FALSE_POSITIVE),
+    )
+    drawn = image.copy()
+    for mask, colour in outcomes:
+        where = mask & truth.evaluated
+        # Halving each first keeps the sum in 8 bits.
+        drawn[where] = image[where] // 2 + np.array(colour, np.uint8) // 2
+    return drawn
+
+
+def write_overlays(
+    folders: OverlayFolders,
+    out: Path | str,
+    view: View = "perspective",
+    threshold: float = 0.5,
+    progress: Progress | None = None,
+) -> tuple[Path, ...]:
+    """Draw each prediction's overlay as ``OUT/<cat>_<type>_<number>.png``.
+
+    Returns
+    -------
+    tuple of Path
+        What was written.
+
+    Raises
+    ------
+    LayoutError
+        A folder, a ground truth, an image or a calibration is missing, or `out` is in a source.
+    DecodeError
+        A file is bad, or sizes differ.
+    """
+    out = Path(out)
+    sources = (folders.predictions, folders.ground_truth, folders.images)
+    refuse_inside(out, *sources, *([folders.calib] if folders.calib else []))
+    guesses = predictions_by_name(folders.predictions, PREDICTION_SUFFIXES)
+    truths = predictions_by_name(folders.ground_truth)
+    lacking = [name.png for name in guesses if name not in truths]
+    if lacking:
+        raise LayoutError(
+            f"{folders.ground_truth}: expected a ground truth for each prediction, "
+            f"found none for {listed(lacking)}"
+        )
+    items = [(name, guesses[name], truths[name]) for name in guesses]
+    draw = partial(_draw_file, folders=folders, out=out, view=view, threshold=threshold)
+    return tuple(map_frames("overlay", draw, items, progress))
+
+
+def _draw_file(
+    item: tuple[PredictionName, Path, Path],
+    folders: OverlayFolders,
+    out: Path,
+    view: View,
+    threshold: float,
+) -> Path:
+    name, guess_path, truth_path = item
+    confidence, truth = read_pair(guess_path, truth_path, name, folders.calib, view)
+    image_path = folders.images / f"{name.frame}.png"
+    if not image_path.is_file():
+        raise LayoutError(f"{image_path}: expected the image of {guess_path.name}, found none")
+    image = read_rgb(image_path)
+    if view == "bev":
+        image = bring_to_bev(image, image_path, folders.calib, name.frame)
+    if image.shape[:2] != confidence.shape:
+        (height, width), (high, wide) = image.shape[:2], confidence.shape
+        raise DecodeError(
+            f"{guess_path}: expected {width}x{height} pixels like {image_path}, found {wide}x{high}"
+        )
+    written = out / name.png
+    write_whole(written, png_bytes(draw_overlay(image, confidence, truth, threshold)))
+    return written
