@@ -41,7 +41,9 @@ def _modalities(
 @click.command()
 @click.argument("src", type=click.Path(path_type=Path))
 @click.argument("out", type=click.Path(path_type=Path))
-@click.option("--reader", default="auto", metavar="NAME", help="gmrp, folder; default: by layout.")
+@click.option(
+    "--reader", default="auto", metavar="NAME", help="gmrp, kitti-road, folder; default: by layout."
+)
 @click.option(
     "--description",
     type=click.Path(path_type=Path),
@@ -61,6 +63,21 @@ def _modalities(
 @click.option(
     "--depth-scale", type=click.FloatRange(0, min_open=True), help="Metres per raw depth unit."
 )
+@click.option(
+    "--target",
+    type=click.Choice(["road", "lane"]),
+    default="road",
+    show_default=True,
+    help="Which of KITTI road's ground truths.",
+)
+@click.option(
+    "--depth-from",
+    type=click.Choice(["auto", "lidar", "stereo"]),
+    default="auto",
+    show_default=True,
+    help="Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo.",
+)
+@click.option("--sparse", is_flag=True, help="Leave KITTI road's depth as measured.")
 @click.option(
     "--modalities", callback=_modalities, help="Comma-separated; default: all that can be had."
 )

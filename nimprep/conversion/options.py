@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from nimprep.derive.modalities import Recipe
+from nimprep.derive.modalities import DERIVED, Recipe
 from nimprep.errors import ArrayError
 from nimprep.frame import MODALITIES
 from nimprep.readers import ReaderOptions
@@ -32,6 +32,12 @@ class ConvertOptions:
         A camera file, or the numbers in pixels; None = the dataset's own.
     depth_scale : float, optional
         Metres per raw depth unit; None = the layout's, and implausible depth is refused.
+    target : {"road", "lane"}
+        Which of KITTI road's ground truths.
+    depth_from : {"auto", "lidar", "stereo"}
+        Where KITTI road's depth comes from; "auto" = the best that each frame has.
+    sparse : bool
+        Leave KITTI road's LiDAR or stereo depth as measured.
     crop : "auto", (top, bottom, left, right) or None
         Cut the sides that have depth in no frame, or so many pixels, or nothing.
     modalities : sequence of str, optional
@@ -65,6 +71,9 @@ class ConvertOptions:
     labels: bool = True
     camera: Path | str | tuple[float, float, float, float] | None = None
     depth_scale: float | None = None
+    target: Literal["road", "lane"] = "road"
+    depth_from: Literal["auto", "lidar", "stereo"] = "auto"
+    sparse: bool = False
     crop: Literal["auto"] | tuple[int, int, int, int] | None = None
     modalities: Sequence[str] | None = None
     normals: str = "nim"
@@ -84,6 +93,8 @@ class ConvertOptions:
         for name, value, allowed in (
             ("codec", self.codec, tuple(PRESETS)),
             ("normal_dtype", self.normal_dtype, tuple(NORMAL_SCALES)),
+            ("target", self.target, ("road", "lane")),
+            ("depth_from", self.depth_from, ("auto", "lidar", "stereo")),
             ("split_by", self.split_by, (None, *SPLIT_RULES)),
         ):
             if value not in allowed:
@@ -120,7 +131,15 @@ class ConvertOptions:
             camera=camera,
             depth_scale=self.depth_scale,
             description=None if self.description is None else Path(self.description),
+            target=self.target,
+            depth_from=self.depth_from if self.needs_depth else "none",
+            sparse=self.sparse,
         )
+
+    @property
+    def needs_depth(self) -> bool:
+        """Whether any modality to be stored is depth or made from it."""
+        return self.modalities is None or not {"depth", *DERIVED}.isdisjoint(self.modalities)
 
     @property
     def recipe(self) -> Recipe:

@@ -78,6 +78,21 @@ def plan_splits(reader: Reader, options: ConvertOptions) -> list[str]:
     return [assigned[i] for i in reader.ids]
 
 
+def frame_metadata(reader: Reader) -> dict[str, Any]:
+    """Return what the dataset says of its frames beside images: distinct values, and whose.
+
+    KITTI's calibrations are few and its frames many, hence each value once and an index per frame.
+    """
+    columns: dict[str, dict[str, Any]] = {}
+    for frame_id in reader.ids:
+        for name, value in reader.metadata(frame_id).items():
+            column = columns.setdefault(name, {"values": [], "of_frame": []})
+            if value not in column["values"]:
+                column["values"].append(value)
+            column["of_frame"].append(column["values"].index(value))
+    return columns
+
+
 def describe(reader: Reader, layout: StoreLayout, options: ConvertOptions) -> dict[str, Any]:
     """Return the `nimprep` object of the store's root, as far as it is known beforehand."""
     rule = {"rule": split_rule(reader, options), "seed": options.seed}
@@ -104,4 +119,5 @@ def describe(reader: Reader, layout: StoreLayout, options: ConvertOptions) -> di
         "codec": layout.codec,
         "split": {"rule": "file"} if options.split_file else rule,
         **({"fixed_splits": fixed} if fixed else {}),
+        **({"frame_metadata": metadata} if (metadata := frame_metadata(reader)) else {}),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from nimprep.errors import LayoutError
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
@@ -13,6 +14,7 @@ __all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptio
 
 READERS: dict[str, str] = {
     "gmrp": "rgb/, depth_u16/ and label/ with equal file names",
+    "kitti-road": "training/ and testing/ with image_2/, calib/ and gt_image_2/",
     "folder": "anything a --description FILE.json describes",
 }
 """Each reader's name and the layout it is for, as `open_reader` and messages say it."""
@@ -32,12 +34,21 @@ class ReaderOptions:
         Metres per raw depth unit, in place of the layout's.
     description : Path, optional
         A folder description; needed by the reader "folder" and by no other.
+    target : {"road", "lane"}
+        Which of KITTI road's ground truths.
+    depth_from : {"auto", "lidar", "stereo", "none"}
+        Where KITTI road's depth comes from; "none" = it will not be read.
+    sparse : bool
+        Leave KITTI road's depth as measured.
     """
 
     labels: bool = True
     camera: CameraSource | None = None
     depth_scale: float | None = None
     description: Path | None = None
+    target: Literal["road", "lane"] = "road"
+    depth_from: Literal["auto", "lidar", "stereo", "none"] = "auto"
+    sparse: bool = False
 
 
 def sniff(root: Path) -> str:
@@ -50,6 +61,8 @@ def sniff(root: Path) -> str:
     """
     if not root.is_dir():
         raise LayoutError(f"{root}: expected a dataset's folder, found none")
+    if any((root / part / "image_2").is_dir() for part in ("training", "testing")):
+        return "kitti-road"
     if (root / "depth_u16").is_dir() or (root / "rgb").is_dir():
         return "gmrp"
     known = "; ".join(f"{name}: {layout}" for name, layout in READERS.items())
@@ -97,8 +110,27 @@ def open_reader(
             camera=options.camera,
             depth_scale=options.depth_scale,
         )
+    if name == "kitti-road":
+        return _open_kitti_road(root, options)
     from nimprep.readers.gmrp import open_gmrp
 
     return open_gmrp(
         root, labels=options.labels, camera=options.camera, depth_scale=options.depth_scale
+    )
+
+
+def _open_kitti_road(root: Path, options: ReaderOptions) -> Reader:
+    from nimprep.readers.kitti_road import KittiRoadReader
+
+    if options.camera is not None or options.depth_scale is not None:
+        raise LayoutError(
+            f"{root}: expected KITTI road's own calibration and depth unit, found options that "
+            "replace them; leave out --camera, --intrinsics and --depth-scale"
+        )
+    return KittiRoadReader(
+        root,
+        labels=options.labels,
+        target=options.target,
+        depth=options.depth_from,
+        sparse=options.sparse,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from nimprep.frame import MODALITIES, Frame, LabelClass
 from nimprep.splits import SplitName
@@ -67,6 +67,10 @@ class Reader(Protocol):
 
     def sources(self, frame_id: str) -> tuple[Path, ...]:
         """Return the files `read` opens for the frame, in a fixed order."""
+        ...
+
+    def metadata(self, frame_id: str) -> dict[str, Any]:
+        """Return what else the dataset says of the frame, by name, as JSON can hold it."""
         ...
 
     def shape(self, frame_id: str) -> tuple[int, int]:

@@ -82,6 +82,10 @@ class CroppedReader:
         """Return the files `read` opens for the frame."""
         return self._reader.sources(frame_id)
 
+    def metadata(self, frame_id: str) -> dict[str, Any]:
+        """Return what else the dataset says of the frame; it holds for the whole image."""
+        return self._reader.metadata(frame_id)
+
     def shape(self, frame_id: str) -> tuple[int, int]:
         """Return (height, width) after cropping."""
         return self.margins.window(*self._reader.shape(frame_id))

@@ -115,6 +115,10 @@ class FolderReader:
         own = (self._cameras[frame_id],) if self._cameras else ()
         return (*(files[frame_id] for files in self._files.values()), *own)
 
+    def metadata(self, frame_id: str) -> dict[str, Any]:
+        """Return nothing: images and cameras are all there is."""
+        return {}
+
     def shape(self, frame_id: str) -> tuple[int, int]:
         """Return (height, width) from the depth image's header."""
         header = read_header(self._files["depth"][frame_id])

@@ -39,6 +39,7 @@ def store_info(path: Path | str) -> dict[str, Any]:
         "codec": attributes["codec"],
         "split": {**attributes["split"], "frames": count_splits(store.splits.values())},
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
+        "depth_sources": _depth_sources(attributes),
         "source": attributes["source"],
     }
 
@@ -58,6 +59,15 @@ def _modality(store: Store, name: str) -> dict[str, Any]:
         "bytes": stored,
         "bytes_uncompressed": raw,
     }
+
+
+def _depth_sources(attributes: dict[str, Any]) -> dict[str, int]:
+    """Count frames by where their depth came from, where the dataset says."""
+    column = attributes.get("frame_metadata", {}).get("depth_source")
+    if column is None:
+        return {}
+    names = (column["values"][i] for i in column["of_frame"])
+    return dict(sorted(Counter(name for name in names if name).items()))
 
 
 def _camera(store: Store) -> dict[str, Any]:
@@ -86,6 +96,9 @@ def info_text(info: dict[str, Any]) -> str:
         ("depth", _depth_text(info)),
         ("camera", _camera_text(info)),
     ]
+    if info["depth_sources"]:
+        sources = ", ".join(f"{name} {count}" for name, count in info["depth_sources"].items())
+        rows.insert(4, ("from", sources))
     if any(info["crop"].values()):
         margins = ", ".join(f"{side} {n}" for side, n in info["crop"].items())
         rows.append(("crop", f"{margins} pixels cut off"))

@@ -123,6 +123,15 @@ def test_ground_that_is_out_of_view_is_taken_130_cm_below() -> None:
     assert np.abs(hha[..., 1] - expected[:, None]).max() <= 0.5 + 1e-4
 
 
+def test_ground_95_cm_below_is_in_view() -> None:
+    camera = Camera(90, 90, 60, 10, 120, 106)
+    for lowest_cm, level in ((85, 45), (95, 0)):
+        hha = encode_hha(
+            np.full(camera.shape, lowest_cm * 90 / 95 / 100), camera, gravity=(0, 1, 0)
+        )
+        assert set(hha[-1, :, 1]) == {level}
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("unit", [0.001, 0.0001, None])
 def test_the_plain_twin_agrees(seed: int, unit: float | None) -> None:
@@ -141,6 +150,18 @@ def test_the_plain_twin_agrees(seed: int, unit: float | None) -> None:
     np.testing.assert_array_equal(
         encode_hha(metres, SMALL), naive.encode_hha(exact, SMALL, none, down)
     )
+
+
+def test_normals_point_away_from_the_camera_even_where_the_fit_does_not_hold() -> None:
+    rng = np.random.default_rng(11)
+    depth = np.rint(np.exp(rng.uniform(-1, 4, SMALL.shape)) * 1000) / 1000
+    missing = rng.random(SMALL.shape) < 0.85
+    down = tilted(20.0)
+    expected = naive.encode_hha(depth, SMALL, missing, down)
+    found = encode_hha(depth, SMALL, missing, gravity=down)
+    plane = ~np.isnan(naive.normals(depth, SMALL, missing, 3)[..., 0])
+    assert np.count_nonzero(plane) > 600
+    np.testing.assert_array_equal(found[plane], expected[plane])
 
 
 def test_a_window_on_one_line_has_no_normal_and_counts_as_180_degrees() -> None:

@@ -2,9 +2,7 @@
 
 Such a window determines no plane. The reference does not notice: it normalises what the rounding
 of its sums has left, and the direction of that vector goes into the picture. Only the same
-operations in the same order give the same pixels, so this module keeps to them: points in
-centimetres, and each row of a window summed four columns first, then one by one (as SciPy's
-convolve2d does, which the reference's port calls).
+operations in the same order give the same pixels, so this module keeps to them.
 """
 
 from __future__ import annotations
@@ -40,34 +38,19 @@ def _point_terms(z, v, u, camera, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _window_is_empty(inverse, v, u):
+def _sum_window(depth, inverse, v, u, camera, terms, sums):
+    """Sum the terms of the window around (v, u) row by row; returns whether there are any."""
     height, width = inverse.shape
+    sums[:] = 0
+    found = False
     for row in range(max(0, v - _RADIUS), min(height, v + _RADIUS + 1)):
         for column in range(max(0, u - _RADIUS), min(width, u + _RADIUS + 1)):
             if inverse[row, column] > 0:
-                return False
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sum_window(depth, inverse, v, u, camera, terms, group, sums):
-    """Sum the terms of the window around (v, u) in the reference's order."""
-    height, width = inverse.shape
-    sums[:] = 0
-    for row in range(max(0, v - _RADIUS), min(height, v + _RADIUS + 1)):
-        group[:] = 0
-        for step in range(2 * _RADIUS + 1):
-            column = u - _RADIUS + step
-            if 0 <= column < width and inverse[row, column] > 0:
                 _point_terms(_centimetres(depth[row, column]), row, column, camera, terms)
                 for term in range(9):
-                    if step < 4:
-                        group[term] += terms[term]
-                    else:
-                        sums[term] += terms[term]
-            if step == 3:
-                for term in range(9):
-                    sums[term] += group[term]
+                    sums[term] += terms[term]
+                found = True
+    return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -111,15 +94,15 @@ def _towards_scene(x, y, n, z, v, u, camera):
 )
 def reference_normals(depth, inverse, first, last, camera, normals):
     """Replace the missing ones (0, 0, 0) among the radius-3 normals of rows first..last-1."""
-    terms, group, sums = np.empty(9), np.empty(9), np.empty(9)
+    terms, sums = np.empty(9), np.empty(9)
     for v in range(first, last):
         row = v - first
         for u in range(depth.shape[1]):
             x, y, n = normals[0, row, u], normals[1, row, u], normals[2, row, u]
-            known = x != 0 or y != 0 or n != 0
-            if known or not depth[v, u] > 0 or _window_is_empty(inverse, v, u):
+            if x != 0 or y != 0 or n != 0 or not depth[v, u] > 0:
                 continue
-            _sum_window(depth, inverse, v, u, camera, terms, group, sums)
+            if not _sum_window(depth, inverse, v, u, camera, terms, sums):
+                continue
             x, y, n = _solve(sums)
             z = _centimetres(depth[v, u])
             x, y, n = _towards_scene(x, y, n, z, v, u, camera)
