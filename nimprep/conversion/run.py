@@ -73,8 +73,6 @@ def convert(
     workers = options.workers or len(os.sched_getaffinity(0))
     start = progress or (lambda step, frames: lambda: None)
     reader = open_reader(source, options.reader, options.reading)
-    for note in reader.info.notes:
-        warnings.warn(f"{source}: {note}", stacklevel=2)
     if options.crop == "auto":
         done = start("looking for sides without depth", len(reader.ids))
         reader = CroppedReader(reader, find_invalid_sides(reader, workers, done))
@@ -94,6 +92,9 @@ def convert(
     except BaseException:
         try_to_remove(target)
         raise
+    # Said last, beside the summary: at the start it would scroll away, and bad data gets one line.
+    for note in reader.info.notes:
+        warnings.warn(f"{source}: {note}", stacklevel=2)
     return open_store(target)
 
 

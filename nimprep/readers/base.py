@@ -26,7 +26,7 @@ class DatasetInfo:
     calibration : {"file", "nominal", "user"}
         Where the cameras came from: the dataset's files, a data sheet, or the user's options.
     notes : tuple of str
-        One line each, for the user to read before converting: assumptions that were made.
+        One line each, for the user to read: assumptions that were made.
     """
 
     name: str
