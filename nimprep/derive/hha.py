@@ -10,9 +10,12 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.derive.gravity import Scene, gravity_of_scene, scene_from_depth
 from nimprep.derive.kernels.hha_channels import encode_block, lowest_block
+from nimprep.derive.kernels.hha_lines import reference_normals
+from nimprep.derive.kernels.hha_planes import plane_block
 from nimprep.derive.threads import run_blocks
 from nimprep.errors import ArrayError
 
+_RADIUS = 3
 _NO_ROTATION_BELOW_DEG = 0.1
 _LOWEST_GROUND_CM = -90.0
 _ASSUMED_GROUND_CM = -130.0
@@ -76,8 +79,8 @@ def encode_hha(
     -----
     Normals are fitted to the window of radius 3. A window without three points off a line has no
     normal, which counts as 180 degrees. The reference does not see that its points lie on a line
-    and gives them a normal made of rounding errors; with `missing` it is reproduced, so that the
-    pixels are the reference's.
+    and gives them a normal made of rounding errors; where `missing` marks any pixel that normal is
+    reproduced, so that the pixels are the reference's.
 
     Where the lowest point is less than 90 cm below the camera, no ground is taken to be in view and
     the ground to be 130 cm below the camera.
@@ -90,7 +93,9 @@ def encode_hha(
     known = None if gravity is None else _checked_gravity(gravity)
     scene = scene_from_depth(depth_m, camera, missing, num_threads)
     direction = gravity_of_scene(scene) if known is None else known
-    return _encode_scene(scene, direction, repeat_lines=missing is not None)
+    return _encode_scene(
+        scene, direction, repeat_lines=missing is not None and bool(np.any(missing))
+    )
 
 
 def _encode_scene(
@@ -113,10 +118,12 @@ def _encode_scene(
 
     def encode(block: int) -> None:
         rows = blocks[block]
-        encode_block(
-            *(scene.depth_m, scene.inverse, *rows, scene.camera),
-            *(toward, down, ground, _ANGLE_LEVELS, repeat_lines, out),
-        )
+        normals = np.empty((3, rows[1] - rows[0], out.shape[1]))
+        plane_block(scene.inverse, *rows, _RADIUS, scene.camera, normals, rows[0])
+        if repeat_lines:
+            reference_normals(scene.depth_m, scene.inverse, *rows, scene.camera, normals)
+        frame = scene.depth_m, normals, *rows, scene.camera
+        encode_block(*frame, toward, down, ground, _ANGLE_LEVELS, out)
 
     run_blocks(encode, len(blocks), scene.num_threads)
     return out

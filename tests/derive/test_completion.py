@@ -134,7 +134,7 @@ def test_colorization_follows_the_edges_of_the_picture() -> None:
     depth = np.where(left, 2.0, 5.0)
     rgb = np.where(left, 60, 190).astype(np.uint8)
     holes = np.zeros(SHAPE, bool)
-    holes[10:30, 15:40] = True
+    holes[3:37, 15:40] = True
     filled, _ = fill_depth(np.where(holes, 0, depth), "colorization", np.dstack([rgb] * 3))
     np.testing.assert_allclose(filled, depth, rtol=0.01)
     nearest, _ = fill_depth(np.where(holes, 0, depth), "nearest")

@@ -175,6 +175,14 @@ def test_a_window_on_one_line_has_no_normal_and_counts_as_180_degrees() -> None:
     assert set(encode_hha(depth, SMALL)[7, 4:20, 2]) == {218, 128}
 
 
+def test_a_mask_that_marks_nothing_changes_nothing() -> None:
+    depth = room(tilted(10.0))[0]
+    depth[20:40, 30:60] = depth[:, 5:] = 0
+    np.testing.assert_array_equal(
+        encode_hha(depth, CAMERA, np.zeros(CAMERA.shape, bool)), encode_hha(depth, CAMERA)
+    )
+
+
 def test_pixels_without_depth_are_zero_and_no_others() -> None:
     depth = room(tilted(10.0))[0].astype(np.float32)
     holes = np.zeros(CAMERA.shape, bool)

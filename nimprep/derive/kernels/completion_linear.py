@@ -58,8 +58,11 @@ def fill_triangles(depth, points, triangles, count, first, last, out):
         va, ua = points[a, 0], points[a, 1]
         vb, ub = points[b, 0], points[b, 1]
         vc, uc = points[c, 0], points[c, 1]
-        top, bottom = max(min(va, vb, vc), first), min(max(va, vb, vc), last - 1)
-        if top > bottom:
+        highest, lowest = min(va, vb, vc), max(va, vb, vc)
+        left, right = min(ua, ub, uc), max(ua, ub, uc)
+        top, bottom = max(highest, first), min(lowest, last - 1)
+        # Half a pixel square, the commonest triangle beside holes, holds its corners only.
+        if top > bottom or (lowest - highest == 1 and right - left == 1):
             continue
         area = float((vb - va) * (uc - ua) - (ub - ua) * (vc - va))
         za = float(depth[va, ua])
@@ -68,8 +71,7 @@ def fill_triangles(depth, points, triangles, count, first, last, out):
         slope_v = (zb * (uc - ua) - zc * (ub - ua)) / area
         slope_u = (zc * (vb - va) - zb * (vc - va)) / area
         for v in range(top, bottom + 1):
-            span = (min(ua, ub, uc), max(ua, ub, uc))
-            span = _clip_span(points, a, b, v, span)
+            span = _clip_span(points, a, b, v, (left, right))
             span = _clip_span(points, b, c, v, span)
             span = _clip_span(points, c, a, v, span)
             for u in range(span[0], span[1] + 1):

@@ -6,15 +6,13 @@ Lengths in centimetres, as the channels count them.
 from __future__ import annotations
 
 import numpy as np
-from numba import boolean, float32, float64, int64, njit, types, uint8, void
+from numba import float32, float64, int64, njit, types, uint8, void
 
-from nimprep.derive.kernels.hha_lines import reference_normals
-from nimprep.derive.kernels.hha_planes import decimal_depth, plane_block
+from nimprep.derive.kernels.hha_planes import decimal_depth
 
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
 _CAMERA = types.UniTuple(float64, 4)
 _VECTOR = types.UniTuple(float64, 3)
-_ANGLE_RADIUS = 3
 _FLOOR_LEVEL = np.uint8(38)
 
 
@@ -71,7 +69,7 @@ def _angle_row(x, y, z, gravity, table, thresholds, cosines, out):
 @njit(
     void(
         _DEPTH,
-        float64[:, ::1],
+        float64[:, :, ::1],
         int64,
         int64,
         _CAMERA,
@@ -79,27 +77,19 @@ def _angle_row(x, y, z, gravity, table, thresholds, cosines, out):
         _VECTOR,
         float64,
         types.Tuple((uint8[::1], float64[::1])),
-        boolean,
         uint8[:, :, ::1],
     ),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def encode_block(
-    depth, inverse, first, last, camera, gravity, down, lowest, angle_levels, repeat_lines, out
-):
-    """Write HHA of rows first..last-1; (0, 0, 0) where there is no depth.
+def encode_block(depth, normals, first, last, camera, gravity, down, lowest, angle_levels, out):
+    """Write HHA of rows first..last-1, whose normals are given; (0, 0, 0) where depth is 0.
 
     ``down`` is the direction that heights are counted against, ``lowest`` the height that becomes
-    0, ``angle_levels`` a table of levels over cosines -1..1 and the cosines where the level rises,
-    ``repeat_lines`` whether windows of points on one line repeat the reference's rounding.
+    0, ``angle_levels`` a table of levels over cosines -1..1 and the cosines where the level rises.
     """
     width = depth.shape[1]
-    normals = np.empty((3, last - first, width))
-    plane_block(inverse, first, last, _ANGLE_RADIUS, camera, normals, first)
-    if repeat_lines:
-        reference_normals(depth, inverse, first, last, camera, normals)
     table, thresholds = angle_levels
     disparity, height, cosines = np.empty(width), np.empty(width), np.empty(width)
     angle = np.empty(width, np.uint8)

@@ -38,19 +38,25 @@ def _point_terms(z, v, u, camera, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _count_columns(inverse, v, counts):
+    """Count the points of each column in the rows of the windows around row v."""
+    counts[:] = 0
+    for row in range(max(0, v - _RADIUS), min(inverse.shape[0], v + _RADIUS + 1)):
+        for u in range(inverse.shape[1]):
+            counts[u] += inverse[row, u] > 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sum_window(depth, inverse, v, u, camera, terms, sums):
-    """Sum the terms of the window around (v, u) row by row; returns whether there are any."""
+    """Sum the terms of the window around (v, u) row by row."""
     height, width = inverse.shape
     sums[:] = 0
-    found = False
     for row in range(max(0, v - _RADIUS), min(height, v + _RADIUS + 1)):
         for column in range(max(0, u - _RADIUS), min(width, u + _RADIUS + 1)):
             if inverse[row, column] > 0:
                 _point_terms(_centimetres(depth[row, column]), row, column, camera, terms)
                 for term in range(9):
                     sums[term] += terms[term]
-                found = True
-    return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -94,15 +100,23 @@ def _towards_scene(x, y, n, z, v, u, camera):
 )
 def reference_normals(depth, inverse, first, last, camera, normals):
     """Replace the missing ones (0, 0, 0) among the radius-3 normals of rows first..last-1."""
+    width = depth.shape[1]
     terms, sums = np.empty(9), np.empty(9)
+    counts = np.empty(width, np.int64)
     for v in range(first, last):
         row = v - first
-        for u in range(depth.shape[1]):
+        _count_columns(inverse, v, counts)
+        # Most windows without a plane have no point at all: the count tells them at once.
+        count = counts[:_RADIUS].sum()
+        for u in range(width):
+            if u + _RADIUS < width:
+                count += counts[u + _RADIUS]
+            if u > _RADIUS:
+                count -= counts[u - _RADIUS - 1]
             x, y, n = normals[0, row, u], normals[1, row, u], normals[2, row, u]
-            if x != 0 or y != 0 or n != 0 or not depth[v, u] > 0:
+            if count == 0 or x != 0 or y != 0 or n != 0 or not depth[v, u] > 0:
                 continue
-            if not _sum_window(depth, inverse, v, u, camera, terms, sums):
-                continue
+            _sum_window(depth, inverse, v, u, camera, terms, sums)
             x, y, n = _solve(sums)
             z = _centimetres(depth[v, u])
             x, y, n = _towards_scene(x, y, n, z, v, u, camera)
