@@ -20,6 +20,7 @@ from nimprep.store.frames import (
     normals_to_integers,
 )
 from nimprep.store.shards import encode_chunk
+from nimprep.store.statistics import channel_sums
 from nimprep.store.writer import StoreLayout
 
 
@@ -37,6 +38,8 @@ class EncodedFrame:
         NaN where there is none.
     gravity : (3,) float64
         Direction HHA was made with; NaN without HHA.
+    channel_sums : (7, 3) int64
+        See `nimprep.store.statistics.channel_sums`.
     depth_counts : (65536,) int64
         Pixels per depth in millimetres.
     digest : str
@@ -49,6 +52,7 @@ class EncodedFrame:
     baseline_m: float
     cam_to_road: npt.NDArray[np.float64]
     gravity: npt.NDArray[np.float64]
+    channel_sums: npt.NDArray[np.int64]
     depth_counts: npt.NDArray[np.int64]
     digest: str
 
@@ -107,6 +111,7 @@ def encode_frame(
         baseline_m=frame.baseline_m,
         cam_to_road=np.full((3, 4), np.nan) if frame.cam_to_road is None else frame.cam_to_road,
         gravity=gravity,
+        channel_sums=channel_sums({n: i for n, i in stored.items() if n in layout.modalities}),
         depth_counts=counts,
         digest=source_digest(reader, frame_id),
     )

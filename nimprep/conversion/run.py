@@ -134,6 +134,7 @@ class Collected:
             "baseline": np.array([f.baseline_m for f in frames]),
             "cam_to_road": np.array([f.cam_to_road for f in frames]),
             "gravity": np.array([f.gravity for f in frames]),
+            "channel_sums": np.array([f.channel_sums for f in frames]),
         }
 
     def summary(self) -> dict[str, Any]:

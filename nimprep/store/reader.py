@@ -33,6 +33,7 @@ class Tables:
     baseline: npt.NDArray[np.float64]
     cam_to_road: npt.NDArray[np.float64]
     gravity: npt.NDArray[np.float64]
+    channel_sums: npt.NDArray[np.int64]
 
 
 def read_tables(store: Path) -> Tables:
@@ -67,8 +68,8 @@ def read_tables(store: Path) -> Tables:
     lengths = {name: len(values) for name, values in arrays.items()}
     if len(set(lengths.values())) != 1:
         raise StoreError(f"{store}: expected tables of one length, found {lengths}")
-    for name in ("split", "image_size", "intrinsics", "baseline", "cam_to_road", "gravity"):
-        if arrays[name].dtype != TABLES[name].dtype:
+    for name, spec in TABLES.items():
+        if spec.dtype != "string" and arrays[name].dtype != spec.dtype:
             raise StoreError(
                 f"{store / name}: expected {TABLES[name].dtype}, found {arrays[name].dtype}"
             )
@@ -81,6 +82,7 @@ def read_tables(store: Path) -> Tables:
         baseline=arrays["baseline"],
         cam_to_road=arrays["cam_to_road"],
         gravity=arrays["gravity"],
+        channel_sums=arrays["channel_sums"],
     )
 
 

@@ -173,6 +173,16 @@ TABLES: dict[str, ArraySpec] = {
             "coordinates": COORDINATES,
         },
     ),
+    "channel_sums": ArraySpec(
+        ("frame", "sum_channel", "sum"),
+        "int64",
+        0,
+        {
+            "long_name": "number, sum and sum of squares of the pixels with a value, per channel",
+            "channels": ["red", "green", "blue", "depth in mm", "hha 1", "hha 2", "hha 3"],
+            "coordinates": COORDINATES,
+        },
+    ),
 }
 """The arrays with one entry per frame, which every store has."""
 
@@ -181,6 +191,7 @@ TABLE_SHAPES: dict[str, tuple[int, ...]] = {
     "intrinsics": (3, 3),
     "cam_to_road": (3, 4),
     "gravity": (3,),
+    "channel_sums": (7, 3),
 }
 """What follows the frame dimension in the tables that have more than one."""
 

@@ -16,6 +16,7 @@ from nimprep.frame import IGNORE_LABEL, Frame
 from nimprep.store.frames import depth_from_millimetres, normals_to_integers
 from nimprep.store.reader import Store
 from nimprep.store.spec import NORMAL_SCALES
+from nimprep.store.statistics import channel_sums
 
 if TYPE_CHECKING:
     from nimprep.store.validate import Report
@@ -63,6 +64,8 @@ def _frame_problems(store: Store, number: int, *, recompute: bool) -> list[str]:
         if (image[height:] != fill).any() or (image[:, width:] != fill).any():
             problems.append(f"{name}: expected padding of {fill}, found other values")
         images[name] = np.ascontiguousarray(image[:height, :width])
+    if not np.array_equal(channel_sums(images), store.tables.channel_sums[number]):
+        problems.append("channel_sums: expected the images' sums, found others")
     if "label" in images:
         problems += _label_problems(store, images["label"])
     if "hha" in images and "depth" in images:
@@ -71,7 +74,7 @@ def _frame_problems(store: Store, number: int, *, recompute: bool) -> list[str]:
         recipe = recipe_from(store.attributes["modalities"])
         filled = recipe.fill != "none" and not recipe.store_filled
         problems += _normal_problems(images["normal"], images.get("depth"), filled=filled)
-    if recompute and not problems and "depth" in images:
+    if recompute and "depth" in images:
         problems += _recomputed_problems(store, number, images)
     return problems
 

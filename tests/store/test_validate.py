@@ -141,6 +141,7 @@ DEEP = {
         "exactly where depth is",
     ),
     "a normal missing": (edit("normal", setter((1, 9, 9), 0)), "exactly where depth is"),
+    "sums that are not the images'": (edit("channel_sums", setter((1, 0, 1), 5)), "channel_sums"),
     "hha missing": (edit("hha", setter((1, 9, 9), 0)), "value where depth is"),
     "hha of another scene": (edit("hha", setter((1, 9, 9), 77)), "'hha' makes of the depth"),
     "gravity that is no direction": (edit("gravity", setter(1, 0)), "unit vector beside HHA"),

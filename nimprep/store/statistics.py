@@ -1,0 +1,133 @@
+"""Mean and standard deviation per channel over a split, from exact sums kept per frame.
+
+A frame's sums depend on the frame alone, so that splitting a store anew leaves them right: the
+statistics of a split are made of its frames' sums when they are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import StoreError
+from nimprep.store.metadata import ROOT
+
+if TYPE_CHECKING:
+    from nimprep.store.reader import Store
+
+ROWS: dict[str, slice] = {"rgb": slice(0, 3), "depth": slice(3, 4), "hha": slice(4, 7)}
+"""Which rows of a frame's sums belong to a modality; a row per channel."""
+
+SUMS_SHAPE = (7, 3)
+"""Of one frame's sums: channels, then count, sum and sum of squares."""
+
+
+@dataclass(frozen=True)
+class ChannelStatistics:
+    """Hold a modality's statistics over the pixels that have a value.
+
+    Attributes
+    ----------
+    mean, std : tuple of float
+        Per channel: rgb and hha in 0-255, depth in metres.
+    """
+
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+
+
+def channel_sums(images: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.int64]:
+    """Add up one frame's images.
+
+    Parameters
+    ----------
+    images : mapping of modality to array
+        As the store holds them, without padding, C-contiguous: rgb and hha (H, W, 3) uint8, depth
+        (H, W) uint16 millimetres. Others are passed over.
+
+    Returns
+    -------
+    (7, 3) int64
+        Per channel (red, green, blue, depth, the three of HHA) the number of pixels, the sum of
+        their values and the sum of their squares. Pixels without depth (0) do not count, nor do
+        those without HHA (all 0). Zeros where the frame lacks the modality.
+    """
+    from nimprep.derive.kernels.sums import color_sums, depth_sums
+
+    sums = np.zeros(SUMS_SHAPE, dtype=np.int64)
+    if "rgb" in images:
+        color_sums(images["rgb"], False, sums[ROWS["rgb"]])
+    if "depth" in images:
+        depth_sums(images["depth"], sums[3])
+    if "hha" in images:
+        color_sums(images["hha"], True, sums[ROWS["hha"]])
+    return sums
+
+
+def combine_sums(sums: npt.NDArray[np.int64]) -> dict[str, ChannelStatistics]:
+    """Return the statistics of frames from their sums, (N, 7, 3) int64.
+
+    Modalities without any pixel are left out. The standard deviation is the population's.
+    """
+    # Python's integers: the squares of some thousand frames of far depth pass 2**63.
+    total = sums.astype(object).sum(axis=0)
+    statistics = {}
+    for name, rows in ROWS.items():
+        unit = 1000 if name == "depth" else 1
+        if len(sums) == 0 or total[rows][0, 0] == 0:
+            continue
+        mean = tuple(int(s) / int(n) / unit for n, s, _ in total[rows])
+        # n * sum(x^2) - sum(x)^2 in integers: a difference of floats would lose what matters.
+        spread = (math.sqrt(int(n) * int(q) - int(s) ** 2) / int(n) for n, s, q in total[rows])
+        statistics[name] = ChannelStatistics(mean, tuple(s / unit for s in spread))
+    return statistics
+
+
+def channel_statistics(store: Store, split: str | None = "train") -> dict[str, ChannelStatistics]:
+    """Return the statistics of a split's frames, by modality.
+
+    From the store's `channel_sums` table; a store without it is read through once.
+
+    Raises
+    ------
+    StoreError
+        The split has no frames, or an image is damaged.
+    """
+    frames = store.indices(split)
+    if len(frames) == 0:
+        raise StoreError(
+            f"{store.path}: expected frames in split {split!r} for its statistics, found none; "
+            "split the store anew with nimprep split"
+        )
+    table = getattr(store.tables, "channel_sums", None)
+    if table is None:
+        written = (store.path / ROOT).stat().st_mtime_ns
+        return dict(_read_through(store.path.resolve(), tuple(frames.tolist()), written))
+    return combine_sums(table[frames])
+
+
+@lru_cache(maxsize=8)
+def _read_through(
+    path: Path, frames: tuple[int, ...], written: int
+) -> dict[str, ChannelStatistics]:
+    """Add up frames by reading them; `written` sets a store apart from one replaced since."""
+    from nimprep.store.reader import open_store
+
+    store = open_store(path)
+    sums = np.zeros((len(frames), *SUMS_SHAPE), dtype=np.int64)
+    for row, number in enumerate(frames):
+        height, width = store.camera(number).shape
+        images = {
+            name: np.ascontiguousarray(array.read(number)[:height, :width])
+            for name, array in store.arrays.items()
+            if name in ROWS
+        }
+        sums[row] = channel_sums(images)
+    return combine_sums(sums)
