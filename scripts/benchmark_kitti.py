@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.derive.threads import available_cores
+from nimprep.images import read_rgb
 from nimprep.kitti import evaluate_predictions, pack_submission
 from nimprep.kitti.calibration import Calibration, read_calibration
 from nimprep.kitti.depth import millimetres_from_metres
@@ -31,7 +32,6 @@ from nimprep.kitti.lidar import project_lidar, read_velodyne
 from nimprep.kitti.names import official_names
 from nimprep.kitti.parallel import map_frames
 from nimprep.kitti.stereo import stereo_depth
-from nimprep.images import read_rgb
 
 PROJECT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("NIMPREP_REFERENCE_DATA", PROJECT.parent / "shared" / "data"))

@@ -50,7 +50,7 @@ def fill_by_colorization(
         from scipy.sparse.linalg import splu
     except ImportError:
         raise NimprepError(
-            "colorization: expected SciPy, found none installed; pip install 'nimprep[fill]', or use "
+            "colorization: expected SciPy, found none; pip install 'nimprep[fill]', or use "
             'method "nearest" or "linear"'
         ) from None
     unknown = depth == 0
