@@ -9,7 +9,7 @@ import click
 
 from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
 
-DEMO_FRAMES = 24
+DEMO_FRAMES = 16
 
 
 def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
