@@ -51,14 +51,20 @@ def normals_from_integers(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     return out
 
 
+EAGER = ("rgb", "depth", "label")
+"""Read with a frame; what is derived from them is read when asked for, as few need all of it."""
+
+
 class StoredFrame(Frame):
     """A frame of a store: its chunks are read and checked, and decompressed when asked for.
 
-    So a frame costs what is used of it: rgb, depth and label without the normals, say. Asking for
-    an image that the store lacks gives None, as with any `Frame`.
+    So a frame costs what is used of it: rgb, depth and label without the normals, say; normals and
+    HHA are not even read before. Asking for an image that the store lacks gives None, as with any
+    `Frame`.
     """
 
-    _chunks: dict[str, tuple[ImageArray, npt.NDArray[np.uint8] | None]]
+    _arrays: dict[str, ImageArray]
+    _chunks: dict[str, npt.NDArray[np.uint8] | None]
     _number: int
 
     @classmethod
@@ -73,15 +79,16 @@ class StoredFrame(Frame):
             A shard is missing, or a checksum does not fit.
         """
         frame = cls.__new__(cls)
-        chunks = {name: (array, array.fetch(number)) for name, array in arrays.items()}
+        chunks = {name: arrays[name].fetch(number) for name in EAGER if name in arrays}
         # What is a cached property below must not be set here, hence no call of __init__.
-        frame.__dict__.update(fields, camera=camera, _chunks=chunks, _number=number)
+        frame.__dict__.update(fields, camera=camera, _arrays=arrays, _chunks=chunks, _number=number)
         return frame
 
     def _image(self, name: str) -> npt.NDArray[Any] | None:
-        if name not in self._chunks:
+        if name not in self._arrays:
             return None
-        array, packed = self._chunks[name]
+        array = self._arrays[name]
+        packed = self._chunks[name] if name in self._chunks else array.fetch(self._number)
         height, width = self.camera.shape
         padded = empty(array.shape[1:], array.dtype)
         array.decode(packed, padded, self._number)

@@ -225,3 +225,15 @@ def test_a_damaged_chunk_is_an_error_when_its_frame_is_asked_for(
     with pytest.raises(StoreError, match="expected chunk 0 undamaged"):
         store[0]
     assert store[1].depth_m is not None
+
+
+def test_a_damaged_normal_is_an_error_when_it_is_asked_for(made: Path, tmp_path: Path) -> None:
+    copy = copied(made, tmp_path)
+    path = copy / "normal" / "c" / "0" / "0" / "0" / "0"
+    data = bytearray(path.read_bytes())
+    data[30] ^= 1
+    path.write_bytes(data)
+    frame = nimprep.open_store(copy)[0]
+    assert frame.rgb is not None
+    with pytest.raises(StoreError, match="expected chunk 0 undamaged"):
+        _ = frame.normal
