@@ -17,6 +17,7 @@ _COMMANDS = {
     "info": ("nimprep.cli.inspect", "Show what a store holds."),
     "validate": ("nimprep.cli.inspect", "Check a store; exit 1 where something is wrong."),
     "split": ("nimprep.cli.split", "Show, export or change who is train, val and test."),
+    "evaluate": ("nimprep.cli.evaluate", "Score predicted labels against a store."),
     "synth": ("nimprep.cli.synth", "Make a synthetic dataset in GMRP's layout."),
     "demo": ("nimprep.cli.synth", "Try it all on data made on the spot."),
     "kitti": ("nimprep.cli.kitti", "KITTI road: depth, bird's-eye view, scores, submission."),

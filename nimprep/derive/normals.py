@@ -10,7 +10,7 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
 from nimprep.derive.kernels.normals import nim_rows
-from nimprep.derive.threads import run_blocks
+from nimprep.derive.threads import available_cores, run_blocks
 from nimprep.errors import ArrayError
 
 _KERNELS = {"nim": nim_rows}
@@ -18,8 +18,11 @@ _KERNELS = {"nim": nim_rows}
 METHODS = tuple(_KERNELS)
 """What `estimate_normals` takes as `method`."""
 
-# Pixels of one block: about 0.1 ms, far above the cost of handing it to a thread.
-_BLOCK_PIXELS = 1 << 15
+# Blocks for each thread: the last to end then keeps the others waiting for little.
+_BLOCKS_PER_THREAD = 4
+
+# Below this many pixels a block costs less than handing it to a thread.
+_LEAST_BLOCK_PIXELS = 1 << 14
 
 
 def estimate_normals(
@@ -79,7 +82,7 @@ def estimate_normals(
     height, width = depth.shape
     normal = np.empty((height, width, 3), np.float32) if out is None else _checked_out(out, depth)
     flat = normal.reshape(height, 3 * width)
-    rows = max(1, _BLOCK_PIXELS // width)
+    rows = _rows_per_block(height, width, num_threads)
 
     def run(block: int) -> None:
         start, stop = block * rows, min((block + 1) * rows, height)
@@ -89,6 +92,13 @@ def estimate_normals(
 
     run_blocks(run, -(-height // rows), num_threads)
     return normal
+
+
+def _rows_per_block(height: int, width: int, num_threads: int | None) -> int:
+    if num_threads == 1:
+        return height
+    threads = num_threads or available_cores()
+    return max(-(-height // (threads * _BLOCKS_PER_THREAD)), _LEAST_BLOCK_PIXELS // width, 1)
 
 
 def _checked_out(out: Any, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

@@ -9,15 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
-from nimprep.store.metadata import ROOT
 
 if TYPE_CHECKING:
     from nimprep.store.reader import Store
@@ -93,12 +90,12 @@ def combine_sums(sums: npt.NDArray[np.int64]) -> dict[str, ChannelStatistics]:
 def channel_statistics(store: Store, split: str | None = "train") -> dict[str, ChannelStatistics]:
     """Return the statistics of a split's frames, by modality.
 
-    From the store's `channel_sums` table; a store without it is read through once.
+    From the store's `channel_sums` table; no image is read.
 
     Raises
     ------
     StoreError
-        The split has no frames, or an image is damaged.
+        The split has no frames.
     """
     frames = store.indices(split)
     if len(frames) == 0:
@@ -106,28 +103,4 @@ def channel_statistics(store: Store, split: str | None = "train") -> dict[str, C
             f"{store.path}: expected frames in split {split!r} for its statistics, found none; "
             "split the store anew with nimprep split"
         )
-    table = getattr(store.tables, "channel_sums", None)
-    if table is None:
-        written = (store.path / ROOT).stat().st_mtime_ns
-        return dict(_read_through(store.path.resolve(), tuple(frames.tolist()), written))
-    return combine_sums(table[frames])
-
-
-@lru_cache(maxsize=8)
-def _read_through(
-    path: Path, frames: tuple[int, ...], written: int
-) -> dict[str, ChannelStatistics]:
-    """Add up frames by reading them; `written` sets a store apart from one replaced since."""
-    from nimprep.store.reader import open_store
-
-    store = open_store(path)
-    sums = np.zeros((len(frames), *SUMS_SHAPE), dtype=np.int64)
-    for row, number in enumerate(frames):
-        height, width = store.camera(number).shape
-        images = {
-            name: np.ascontiguousarray(array.read(number)[:height, :width])
-            for name, array in store.arrays.items()
-            if name in ROWS
-        }
-        sums[row] = channel_sums(images)
-    return combine_sums(sums)
+    return combine_sums(store.tables.channel_sums[frames])

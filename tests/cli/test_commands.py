@@ -239,7 +239,7 @@ def test_help_and_version_come_without_heavy_imports() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for name in ("convert", "info", "validate", "split", "synth", "demo", "kitti"):
+    for name in ("convert", "info", "validate", "split", "evaluate", "synth", "demo", "kitti"):
         assert f"  {name} " in done.stdout
 
 

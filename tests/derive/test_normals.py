@@ -160,6 +160,14 @@ def test_with_the_sign_filter_the_majority_wins():
     np.testing.assert_allclose(found, naive.estimate_normals(depth, camera, True), atol=1e-6)
 
 
+def test_with_the_sign_filter_level_ground_keeps_its_normal():
+    # Y = y Z is 1 * 2 and 2 * 1: the lower pixel's one candidate has n_z = 0 exactly.
+    depth = np.array([[2], [1]], np.float32)
+    camera = Camera(fx=1, fy=1, cx=0, cy=-1, width=1, height=2)
+    found = estimate_normals(depth, camera, sign_filter=True)
+    np.testing.assert_allclose(found[1, 0], (0, -1, 0), atol=1e-6)
+
+
 def test_a_pixel_alone_faces_the_camera():
     depth = np.zeros((3, 3), np.float32)
     depth[1, 1] = 2

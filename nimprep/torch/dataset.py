@@ -1,0 +1,226 @@
+"""A store's split as a PyTorch dataset."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal, SupportsIndex
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from nimprep.errors import ArrayError, StoreError
+from nimprep.splits import SPLIT_CODES
+from nimprep.store.reader import Store, open_store
+from nimprep.torch.batches import allocate, fill
+from nimprep.torch.collation import Batch, Sample, collate
+from nimprep.torch.scaling import Normalization, Scaling, scaling_from
+from nimprep.torch.setups import CHANNELS, select
+from nimprep.torch.source import FrameSource
+
+Transform = Callable[[dict[str, Any]], dict[str, Any]]
+"""From a sample to a sample; see `StoreDataset`."""
+
+
+class StoreDataset(Dataset[dict[str, Any]]):
+    """Serve the frames of a store's split as tensors.
+
+    For `torch.utils.data.DataLoader` with any of its options, or for `StoreLoader`, which is
+    faster. Nothing is held open, so that it may be forked, pickled and shared between threads.
+
+    Parameters
+    ----------
+    path : path
+        What `nimprep convert` wrote.
+    split : str, optional
+        "train", "val" or "test"; None = all frames.
+    setup : str, optional
+        One of `SETUPS`: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d.
+    fusion : bool
+        Keep the setup's two modalities apart, as a pair, for a network with two encoders.
+    modalities : sequence of str, optional
+        In place of a setup: a tensor per name; "label" only if named.
+    transform : callable, optional
+        Called with each sample before it is normalised: a dict of "rgb" (3, H, W) uint8, "depth"
+        (1, H, W) float32 metres, "normal" (3, H, W) float32, "hha" (3, H, W) uint8, as far as
+        they are used; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id"; "size" (height,
+        width) without padding; "generator", a `torch.Generator` that depends on (seed, epoch,
+        index) alone. Returns such a dict.
+    normals : str
+        "cached" = as stored; "nim" = computed from the stored depth as a frame is read.
+    normalize : str or Scaling, optional
+        None or "constants": rgb and hha divided by 255, depth by 10 m. "train": mean 0 and
+        standard deviation 1 by the train split's statistics. "none": rgb and hha in 0-255, depth
+        in metres. Where there is no depth or HHA it stays 0; normals stay as they are.
+    dtype : {"float32", "stored"}
+        "stored": images as the store holds them, one tensor per name, for `Normalize` to do the
+        float work on the device: rgb and hha (3, H, W) uint8, normal (3, H, W) int8 or int16,
+        depth (1, H, W) uint16 millimetres, label (H, W) uint8.
+    seed : int
+        Of the generators that transforms draw from.
+
+    Attributes
+    ----------
+    store : Store
+    indices : (N,) int64
+        The split's frames, by their numbers in the store.
+    ids : tuple of str
+    selection : Selection
+    scaling : Scaling
+
+    Raises
+    ------
+    StoreError
+        There is no such store or split, the split is empty, or a modality is missing.
+    ArrayError
+        An option is not one of those it can be.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        split: str | None = "train",
+        setup: str | None = None,
+        fusion: bool = False,
+        transform: Transform | None = None,
+        *,
+        modalities: Sequence[str] | None = None,
+        normals: str = "cached",
+        normalize: Normalization | Scaling | None = None,
+        dtype: Literal["float32", "stored"] = "float32",
+        seed: int = 0,
+    ) -> None:
+        if dtype not in ("float32", "stored"):
+            raise ArrayError(f"dtype: expected 'float32' or 'stored', found {dtype!r}")
+        if dtype == "stored" and transform is not None:
+            raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
+        self.selection = select(setup, fusion=fusion, modalities=modalities)
+        self.store = open_store(path)
+        self.source = FrameSource(self.store, self.selection, normals)
+        self.indices = _frames(self.store, split)
+        self.ids = tuple(self.store.ids[i] for i in self.indices)
+        self.scaling = scaling_from(normalize, self.store, self.selection.images)
+        self.transform = transform
+        self.dtype = dtype
+        self.seed = seed
+        # In shared memory, so that workers that persist see what set_epoch says later.
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    @property
+    def epoch(self) -> int:
+        """The epoch that transforms draw for."""
+        return int(self._epoch)
+
+    def set_epoch(self, epoch: int) -> None:
+        """Say which epoch comes next, before its iteration starts; workers see it too."""
+        self._epoch.fill_(epoch)
+
+    def __getitem__(self, index: SupportsIndex) -> Sample:
+        return self.sample(index, self.epoch)
+
+    def __getitems__(self, indices: Sequence[SupportsIndex]) -> Batch:
+        """Return several frames as one batch, decoded straight into its tensors."""
+        epoch = self.epoch
+        if self.transform is not None:
+            return Batch(collate([self.sample(index, epoch) for index in indices]))
+        batch = allocate(self, len(indices))
+        for position, index in enumerate(indices):
+            fill(self, batch, position, self._checked(index))
+        return batch
+
+    def sample(self, index: SupportsIndex, epoch: int) -> Sample:
+        """Return the sample of an index in an epoch.
+
+        Raises
+        ------
+        IndexError
+            The split has fewer frames.
+        StoreError
+            A chunk is damaged or gone.
+        """
+        number = self._checked(index)
+        if self.transform is None:
+            batch = allocate(self, 1)
+            fill(self, batch, 0, number)
+            return Sample({name: _only(value) for name, value in batch.items()})
+        raw = self._raw(number)
+        raw["generator"] = torch.Generator().manual_seed(_seed(self.seed, epoch, number))
+        return self._assembled(self.transform(raw))
+
+    def _checked(self, index: SupportsIndex) -> int:
+        number = operator.index(index)
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"{self.store.path}: expected below {len(self)}, found {number}")
+        return number % len(self)
+
+    def _raw(self, number: int) -> dict[str, Any]:
+        """Return a frame as transforms take it, but for the generator."""
+        frame = int(self.indices[number])
+        named = (*self.selection.images, *(["label"] if self.selection.label else []))
+        height, width = (int(n) for n in self.store.tables.image_size[frame])
+        return {
+            **{name: self.source.image(name, frame) for name in named},
+            "intrinsics": torch.from_numpy(self.store.tables.intrinsics[frame].copy()),
+            "id": self.ids[number],
+            "size": (height, width),
+        }
+
+    def _assembled(self, raw: dict[str, Any]) -> Sample:
+        """Normalise what a transform returned and put it together."""
+        sample = Sample()
+        groups = self.selection.inputs or tuple((name,) for name in self.selection.images)
+        tensors = [self._joined(group, raw) for group in groups]
+        if not self.selection.inputs:
+            sample.update(zip(self.selection.images, tensors, strict=True))
+        else:
+            sample["inputs"] = tensors[0] if len(tensors) == 1 else tuple(tensors)
+        if self.selection.label:
+            sample["label"] = raw["label"].to(torch.int64)
+        sample["id"] = raw["id"]
+        sample["intrinsics"] = torch.as_tensor(raw["intrinsics"]).to(torch.float32)
+        sample["size"] = torch.as_tensor(raw["size"], dtype=torch.int64)
+        return sample
+
+    def _joined(self, group: tuple[str, ...], raw: dict[str, Any]) -> Tensor:
+        """Normalise the modalities of one tensor into it, one below the other."""
+        shapes = {tuple(raw[name].shape[-2:]) for name in group}
+        if len(shapes) > 1:
+            raise ArrayError(
+                f"frame {raw['id']!r}: expected images of one size from the transform, "
+                f"found {sorted(shapes)}"
+            )
+        channels = [CHANNELS[name] for name in group]
+        out = torch.empty((sum(channels), *shapes.pop()), dtype=torch.float32)
+        for name, part in zip(group, torch.split(out, channels), strict=True):
+            self.scaling.apply(name, raw[name], part)
+        return out
+
+
+def _only(value: Any) -> Any:
+    """Return the one sample's part of a batch's value."""
+    return tuple(part[0] for part in value) if isinstance(value, tuple) else value[0]
+
+
+def _seed(*numbers: int) -> int:
+    """Mix numbers into a seed: neighbouring epochs and indices draw unlike numbers."""
+    return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0])
+
+
+def _frames(store: Store, split: str | None) -> Any:
+    frames = store.indices(split)
+    if len(frames) == 0:
+        counts = {
+            name: int((store.tables.split == code).sum()) for name, code in SPLIT_CODES.items()
+        }
+        there = ", ".join(f"{count} in {name}" for name, count in counts.items() if count)
+        raise StoreError(
+            f"{store.path}: expected frames in split {split!r}, found {there or 'none at all'}; "
+            "split the store anew with nimprep split"
+        )
+    return frames

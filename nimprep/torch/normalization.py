@@ -1,0 +1,76 @@
+"""The float work of a batch as stored, on the device it was moved to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from nimprep.torch.dataset import StoreDataset
+from nimprep.torch.setups import CHANNELS
+
+
+class Normalize(nn.Module):
+    """Turn a batch of a dataset with ``dtype="stored"`` into what its float32 twin would give.
+
+    Stored integers are a quarter of the bytes to decode into, to pin and to send to a GPU.
+
+    Parameters
+    ----------
+    dataset : StoreDataset
+        Whose setup and normalisation to apply; it is not kept.
+    """
+
+    def __init__(self, dataset: StoreDataset) -> None:
+        super().__init__()
+        self.selection = dataset.selection
+        self.scaling = dataset.scaling
+
+    def forward(self, batch: dict[str, Any]) -> dict[str, Any]:
+        """Return the batch with float32 inputs and int64 labels, on the device it is on.
+
+        Parameters
+        ----------
+        batch : dict
+            Of rgb, hha (B, 3, H, W) uint8, depth (B, 1, H, W) uint16 millimetres, normal
+            (B, 3, H, W) int8 or int16, label (B, H, W) uint8, as far as the setup has them. One
+            sample without B will do as well.
+
+        Returns
+        -------
+        dict
+            "inputs" as the setup says, or a tensor per name; "label" (B, H, W) int64; the rest
+            as it was.
+        """
+        images = self.selection.images
+        out = {name: value for name, value in batch.items() if name not in (*images, "label")}
+        groups = self.selection.inputs or tuple((name,) for name in images)
+        tensors = tuple(self._joined(group, batch) for group in groups)
+        if not self.selection.inputs:
+            out |= dict(zip(images, tensors, strict=True))
+        else:
+            out["inputs"] = tensors[0] if len(tensors) == 1 else tensors
+        if self.selection.label:
+            out["label"] = batch["label"].to(torch.int64)
+        return out
+
+    def _joined(self, group: tuple[str, ...], batch: dict[str, Tensor]) -> Tensor:
+        first = batch[group[0]]
+        channels = [CHANNELS[name] for name in group]
+        shape = (*first.shape[:-3], sum(channels), *first.shape[-2:])
+        out = torch.empty(shape, dtype=torch.float32, device=first.device)
+        for name, part in zip(group, torch.split(out, channels, dim=-3), strict=True):
+            self.scaling.apply(name, _physical(name, batch[name]), part)
+        return out
+
+
+def _physical(name: str, stored: Tensor) -> Tensor:
+    """Return depth in metres and normals of unit length; colours as they are."""
+    if name == "depth":
+        return stored.to(torch.float32) / 1000
+    if name != "normal":
+        return stored
+    vectors = stored.to(torch.float32)
+    # The integers' squares sum to 0 or to 1 at least.
+    return vectors / (vectors * vectors).sum(dim=-3, keepdim=True).clamp(min=1).sqrt()

@@ -1,0 +1,140 @@
+"""How stored values become what a network takes: value * scale + offset per channel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from nimprep.errors import ArrayError
+from nimprep.store.statistics import channel_statistics
+from nimprep.torch.setups import CHANNELS
+
+if TYPE_CHECKING:
+    from nimprep.store.reader import Store
+
+DEPTH_SCALE_M = 10.0
+"""Depth is divided by this many metres: about the range of the D415 that GMRP was taken with."""
+
+NAMED = ("constants", "train", "none")
+"""What `normalize` can be by name."""
+
+Normalization = Literal["constants", "train", "none"]
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Scale and offset per modality and channel.
+
+    A pixel without depth, normal or HHA stays 0 whatever the scaling, so that 0 says "none".
+
+    Attributes
+    ----------
+    scale, offset : dict of modality to tuple of float
+        For rgb and hha in 0-255, and for depth in metres. Modalities not named are left as they
+        are; normals always are.
+    """
+
+    scale: dict[str, tuple[float, ...]]
+    offset: dict[str, tuple[float, ...]]
+
+    def __post_init__(self) -> None:
+        for values in (self.scale, self.offset):
+            for name, row in values.items():
+                if name not in ("rgb", "depth", "hha") or len(row) != CHANNELS[name]:
+                    raise ArrayError(
+                        f"scaling: expected a number per channel of rgb, depth or hha, "
+                        f"found {len(row)} of {name!r}"
+                    )
+
+    @classmethod
+    def constants(cls) -> Scaling:
+        """Divide rgb and hha by 255 and depth by `DEPTH_SCALE_M`; no offsets."""
+        color = (1 / 255,) * 3
+        return cls({"rgb": color, "depth": (1 / DEPTH_SCALE_M,), "hha": color}, {})
+
+    @classmethod
+    def none(cls) -> Scaling:
+        """Leave rgb and hha in 0-255 and depth in metres."""
+        return cls({}, {})
+
+    @classmethod
+    def from_statistics(cls, store: Store, names: Iterable[str], split: str = "train") -> Scaling:
+        """Bring each channel to mean 0 and standard deviation 1 over a split's pixels.
+
+        Raises
+        ------
+        ArrayError
+            No pixel of the split has the modality.
+        StoreError
+            The split has no frames.
+        """
+        statistics = channel_statistics(store, split)
+        scale, offset = {}, {}
+        for name in names:
+            if name not in ("rgb", "depth", "hha"):
+                continue
+            if name not in statistics:
+                raise ArrayError(
+                    f"{store.path}: expected pixels with {name} in split {split!r}, found none; "
+                    "normalize by 'constants'"
+                )
+            found = statistics[name]
+            # A channel that is the same everywhere has nothing to be divided by.
+            scale[name] = tuple(1 / s if s > 0 else 1.0 for s in found.std)
+            offset[name] = tuple(-m * s for m, s in zip(found.mean, scale[name], strict=True))
+        return cls(scale, offset)
+
+    def rows(self, name: str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return a modality's scale and offset, (C,) float32 each."""
+        count = CHANNELS[name]
+        return (
+            np.array(self.scale.get(name, (1.0,) * count), dtype=np.float32),
+            np.array(self.offset.get(name, (0.0,) * count), dtype=np.float32),
+        )
+
+    def apply(self, name: str, image: Tensor, out: Tensor) -> None:
+        """Write a modality's scaled values.
+
+        Parameters
+        ----------
+        image : (..., C, H, W) tensor
+            rgb and hha in 0-255, depth in metres, normals as unit vectors.
+        out : (..., C, H, W) float32
+            May not overlap the image.
+        """
+        out.copy_(image)
+        if name == "normal":
+            return
+        scale, offset = (torch.from_numpy(row).to(out.device) for row in self.rows(name))
+        out.mul_(scale[:, None, None]).add_(offset[:, None, None])
+        if name != "rgb":
+            out.masked_fill_((image == 0).all(dim=-3, keepdim=True), 0)
+
+
+def scaling_from(
+    normalize: Normalization | Scaling | None, store: Store, names: Iterable[str]
+) -> Scaling:
+    """Return the scaling that `normalize` names; None = "constants".
+
+    Raises
+    ------
+    ArrayError
+        There is none of that name.
+    """
+    if isinstance(normalize, Scaling):
+        return normalize
+    if normalize is None or normalize == "constants":
+        return Scaling.constants()
+    if normalize == "none":
+        return Scaling.none()
+    if normalize == "train":
+        return Scaling.from_statistics(store, names)
+    raise ArrayError(
+        f"normalize: expected one of {', '.join(NAMED)} or a Scaling, found {normalize!r}"
+    )

@@ -1,0 +1,93 @@
+"""What a network is given: the paper's setups by name, or modalities of one's own choice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nimprep.errors import ArrayError
+from nimprep.frame import MODALITIES
+
+CHANNELS: dict[str, int] = {"rgb": 3, "depth": 1, "normal": 3, "hha": 3}
+"""Channels that each modality gives a network."""
+
+SETUPS: dict[str, tuple[str, ...]] = {
+    "rgb": ("rgb",),
+    "depth": ("depth",),
+    "hha": ("hha",),
+    "rgb+d": ("rgb", "depth"),
+    "rgb+hha": ("rgb", "hha"),
+    "nim-depth": ("normal",),
+    "nim-rgb+d": ("rgb", "normal"),
+}
+"""The paper's setups: which modalities, in the order of their channels.
+
+"nim-" stands for the normals in place of the depth. Those of two modalities serve data fusion too.
+
+Source: Wang et al., "Applying surface normal information in drivable area and road anomaly
+detection for ground mobile robots", IROS 2020, tables I and II.
+"""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Say which tensors a sample has.
+
+    Attributes
+    ----------
+    images : tuple of str
+        Modalities that become float tensors, in order.
+    label : bool
+        Whether there is a label.
+    inputs : tuple of tuple of str
+        The modalities of each tensor in "inputs"; two where a pair is fused. Empty: one tensor
+        per name in place of "inputs".
+    """
+
+    images: tuple[str, ...]
+    label: bool
+    inputs: tuple[tuple[str, ...], ...]
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Channels of each tensor in "inputs", or of each image where there are none."""
+        groups = self.inputs or tuple((name,) for name in self.images)
+        return tuple(sum(CHANNELS[name] for name in group) for group in groups)
+
+
+def select(
+    setup: str | None, *, fusion: bool = False, modalities: Sequence[str] | None = None
+) -> Selection:
+    """Return what a setup, or a choice of modalities, puts into a sample.
+
+    Raises
+    ------
+    ArrayError
+        The setup or a modality is unknown; both or neither are given; `fusion` does not fit.
+    """
+    if (setup is None) == (modalities is None):
+        raise ArrayError(
+            f"setup: expected either a setup or modalities, found {setup!r} and {modalities!r}; "
+            f"setups are {', '.join(SETUPS)}"
+        )
+    if modalities is not None:
+        return _own_mix(modalities, fusion)
+    if setup is None or setup not in SETUPS:
+        raise ArrayError(f"setup: expected one of {', '.join(SETUPS)}, found {setup!r}")
+    names = SETUPS[setup]
+    if fusion and len(names) < 2:
+        pairs = ", ".join(name for name, parts in SETUPS.items() if len(parts) == 2)
+        raise ArrayError(f"fusion: expected a setup of two modalities ({pairs}), found {setup!r}")
+    return Selection(names, True, tuple((name,) for name in names) if fusion else (names,))
+
+
+def _own_mix(modalities: Sequence[str], fusion: bool) -> Selection:
+    names = (modalities,) if isinstance(modalities, str) else tuple(modalities)
+    unknown = [name for name in names if name not in MODALITIES]
+    if unknown or not names or len(set(names)) < len(names):
+        raise ArrayError(
+            f"modalities: expected some of {', '.join(MODALITIES)}, each once, found {names!r}"
+        )
+    if fusion:
+        raise ArrayError("fusion: expected a setup to fuse, found modalities; they come apart")
+    return Selection(tuple(name for name in names if name != "label"), "label" in names, ())

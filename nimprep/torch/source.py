@@ -1,0 +1,149 @@
+"""One frame's images out of a store, into memory that the caller provides."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from numcodecs import blosc
+from torch import Tensor
+from torch.utils.data import get_worker_info
+
+from nimprep.derive.kernels import samples
+from nimprep.derive.normals import METHODS, estimate_normals
+from nimprep.errors import ArrayError, StoreError
+from nimprep.frame import IGNORE_LABEL
+from nimprep.store.buffers import empty
+from nimprep.store.frames import depth_from_millimetres, normals_to_integers
+from nimprep.store.reader import Store
+from nimprep.torch.scaling import Scaling
+from nimprep.torch.setups import Selection
+
+
+class FrameSource:
+    """Decode a store's frames into tensors, padding included.
+
+    Holds no open file; safe between threads, after a fork, and to pickle.
+
+    Parameters
+    ----------
+    store : Store
+    selection : Selection
+    normals : str
+        "cached", or a method of `estimate_normals`.
+
+    Raises
+    ------
+    StoreError
+        The store lacks a modality; how to get it is said.
+    ArrayError
+        `normals` is unknown.
+    """
+
+    def __init__(self, store: Store, selection: Selection, normals: str = "cached") -> None:
+        if normals not in ("cached", *METHODS):
+            known = ", ".join(("cached", *METHODS))
+            raise ArrayError(f"normals: expected one of {known}, found {normals!r}")
+        self.store = store
+        self.normals = normals
+        named = (*selection.images, *(["label"] if selection.label else []))
+        for name in named:
+            needed = "depth" if name == "normal" and normals != "cached" else name
+            # A setup takes unlabelled frames as well: all of them is 255, ignore.
+            if needed not in store.modalities and (name != "label" or not selection.inputs):
+                raise StoreError(_lacking(store, name, needed))
+        self.size: tuple[int, int] = next(iter(store.arrays.values())).shape[1:3]  # type: ignore[assignment]
+
+    def stored(self, name: str, frame: int, out: npt.NDArray[Any] | None = None) -> Any:
+        """Return an image as the store holds it, (H, W) or (H, W, 3), in `out` where given."""
+        if get_worker_info() is not None:
+            # A worker's main thread would else start Blosc's pool of threads.
+            blosc.use_threads = False
+        if name == "label" and name not in self.store.arrays:
+            out = empty(self.size, np.uint8) if out is None else out
+            out[...] = IGNORE_LABEL
+            return out
+        if name == "normal" and self.normals != "cached":
+            values = normals_to_integers(self._estimated(frame), "int8")
+            if out is None:
+                return values
+            out[...] = values
+            return out
+        array = self.store.arrays[name]
+        out = empty(array.shape[1:], array.dtype) if out is None else out
+        array.decode(array.fetch(frame), out, frame)
+        return out
+
+    def scaled(self, name: str, frame: int, scaling: Scaling, out: Tensor) -> None:
+        """Write an image as the network takes it: one pass from the decoded chunk.
+
+        Parameters
+        ----------
+        out : (C, H, W) float32, contiguous
+        """
+        planes = out.numpy().reshape(out.shape[0], -1)
+        if name == "normal":
+            self._unit(frame, planes)
+            return
+        stored = self.stored(name, frame).reshape(-1)
+        scale, offset = scaling.rows(name)
+        if name == "depth":
+            samples.scaled_depth(stored, scale[0], offset[0], planes[0])
+        elif name == "hha":
+            samples.scaled_some(stored, scale, offset, planes)
+        else:
+            samples.scaled_colors(stored, scale, offset, planes)
+
+    def label(self, frame: int, out: Tensor) -> None:
+        """Write the label: (H, W) int64, 255 = ignore and padding."""
+        samples.widened(self.stored("label", frame).reshape(-1), out.numpy().reshape(-1))
+
+    def image(self, name: str, frame: int) -> Tensor:
+        """Return an image as transforms take it.
+
+        rgb and hha (3, H, W) uint8, depth (1, H, W) float32 metres, normal (3, H, W) float32 unit
+        vectors, label (H, W) int64.
+        """
+        if name in ("rgb", "hha"):
+            return torch.from_numpy(self.stored(name, frame)).permute(2, 0, 1)
+        if name == "depth":
+            return torch.from_numpy(depth_from_millimetres(self.stored(name, frame)))[None]
+        if name == "label":
+            label = torch.from_numpy(empty(self.size, np.int64))
+            self.label(frame, label)
+            return label
+        planes = empty((3, *self.size), np.float32)
+        self._unit(frame, planes.reshape(3, -1))
+        return torch.from_numpy(planes)
+
+    def _unit(self, frame: int, planes: npt.NDArray[np.float32]) -> None:
+        if self.normals == "cached":
+            samples.unit_vectors(self.stored("normal", frame).reshape(-1), planes)
+        else:
+            samples.channels_first(self._estimated(frame).reshape(-1), planes)
+
+    def _estimated(self, frame: int) -> npt.NDArray[np.float32]:
+        """Return the normals of a frame's stored depth, (H, W, 3), zeros in the padding."""
+        camera = self.store.camera(frame)
+        height, width = camera.shape
+        depth_m = depth_from_millimetres(self.stored("depth", frame))
+        out = empty((*camera.shape, 3), np.float32)
+        valid = np.ascontiguousarray(depth_m[:height, :width])
+        estimate_normals(valid, camera, method=self.normals, out=out, num_threads=1)
+        if camera.shape == self.size:
+            return out
+        padded = np.zeros((*self.size, 3), dtype=np.float32)
+        padded[:height, :width] = out
+        return padded
+
+
+def _lacking(store: Store, name: str, needed: str) -> str:
+    there = ", ".join(store.modalities)
+    advice = f"convert again with --modalities {','.join((*store.modalities, needed))}"
+    if name == "label":
+        advice = "convert a dataset with labels"
+    elif name == "normal" and needed == "normal" and "depth" in store.modalities:
+        advice += f", or compute them with normals={METHODS[0]!r}"
+    return f"{store.path}: expected {needed}, found only {there}; {advice}"

@@ -1,0 +1,51 @@
+"""Augmentations that change every modality of a sample, and its camera, at once.
+
+A *sample* is what a dataset hands to its `transform`, a dict of tensors on the CPU that are not yet
+normalised or stacked, with those of these keys that are wanted:
+
+====================== =========================== ==============================================
+``rgb``, ``hha``       uint8 (3, H, W)
+``depth``              float32 (1, H, W), metres   0 = none
+``normal``             float32 (3, H, W)           unit vectors; (0, 0, 0) = none
+``label``              int64 (H, W)                255 = ignore
+``intrinsics``         float64 (3, 3), pixels      K
+``size``               (height, width)             of the frame itself, at the top left; what lies
+                                                   outside is padding
+``id``                 str
+``generator``          torch.Generator             the sample's own, from which every random number
+                                                   is drawn; absent = torch's global one
+====================== =========================== ==============================================
+
+A transform is a callable from such a dict to such a dict; keys it does not know pass through, and
+what it is given is not changed in place. Any callable of one's own may stand among them::
+
+    transform = Compose([RandomScale((0.75, 1.5)), RandomCrop(352, 640), RandomHorizontalFlip(),
+                         ColorJitter(0.3, 0.3, 0.3, 0.05), my_own])
+
+`crop`, `flip`, `resize` and `jitter` are the same without chance.
+"""
+
+from nimprep.torch.transforms.color import ColorJitter, jitter
+from nimprep.torch.transforms.geometry import IMAGES, Sample, crop, flip, resize
+from nimprep.torch.transforms.randomly import (
+    Compose,
+    RandomCrop,
+    RandomHorizontalFlip,
+    RandomScale,
+    Resize,
+)
+
+__all__ = [
+    "IMAGES",
+    "ColorJitter",
+    "Compose",
+    "RandomCrop",
+    "RandomHorizontalFlip",
+    "RandomScale",
+    "Resize",
+    "Sample",
+    "crop",
+    "flip",
+    "jitter",
+    "resize",
+]

@@ -1,0 +1,186 @@
+"""What crop, flip and resize do to every image of a sample and to its camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate, pad
+
+from nimprep.errors import ArrayError
+from nimprep.frame import IGNORE_LABEL, MODALITIES
+
+Sample = dict[str, Any]
+
+IMAGES = MODALITIES
+"""The keys of a sample that are images; all of one size."""
+
+
+def frame_size(sample: Sample) -> tuple[int, int]:
+    """Return (height, width) of the frame itself, without padding.
+
+    Raises
+    ------
+    ArrayError
+        The sample has no image, images of several sizes, or a size larger than they are.
+    """
+    shapes = {name: tuple(sample[name].shape[-2:]) for name in IMAGES if name in sample}
+    if len(set(shapes.values())) != 1:
+        raise ArrayError(f"sample: expected images of one size, found {shapes or 'no image'}")
+    padded = next(iter(shapes.values()))
+    height, width = (int(n) for n in sample.get("size", padded))
+    if not (0 < height <= padded[0] and 0 < width <= padded[1]):
+        raise ArrayError(f"sample: expected a size within {padded}, found {(height, width)}")
+    return height, width
+
+
+def _with_images(sample: Sample, change: Callable[[str, Tensor], Tensor]) -> Sample:
+    """Return a copy of the sample with every image changed, `size` not yet."""
+    changed = {name: change(name, sample[name]) for name in IMAGES if name in sample}
+    return {**sample, **changed}
+
+
+def _with_camera(sample: Sample, matrix: list[list[float]]) -> Sample:
+    """Return the sample with K multiplied from the left by what happened to pixels, (3, 3)."""
+    if "intrinsics" not in sample:
+        return sample
+    k: Tensor = sample["intrinsics"]
+    return {**sample, "intrinsics": torch.tensor(matrix, dtype=k.dtype, device=k.device) @ k}
+
+
+def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample:
+    """Cut out the window that starts at pixel (left, top) of the frame; the camera moves along.
+
+    Where the window leaves the frame at the bottom or the right, the rest is padding: 0, and 255
+    for labels. `size` becomes that of the part inside.
+
+    Raises
+    ------
+    ArrayError
+        The window's corner lies outside the frame, or it is empty.
+    """
+    frame_height, frame_width = frame_size(sample)
+    if not (0 <= top < frame_height and 0 <= left < frame_width and height > 0 and width > 0):
+        raise ArrayError(
+            f"crop: expected a window that starts inside {frame_width}x{frame_height}, "
+            f"found {width}x{height} at ({left}, {top})"
+        )
+    bottom, right = min(top + height, frame_height), min(left + width, frame_width)
+    beyond = (0, left + width - right, 0, top + height - bottom)
+
+    def cut(name: str, image: Tensor) -> Tensor:
+        inside = image[..., top:bottom, left:right]
+        if not any(beyond):
+            return inside
+        return pad(inside, beyond, value=IGNORE_LABEL if name == "label" else 0)
+
+    result = {**_with_images(sample, cut), "size": (bottom - top, right - left)}
+    return _with_camera(result, [[1, 0, -left], [0, 1, -top], [0, 0, 1]])
+
+
+def flip(sample: Sample) -> Sample:
+    """Mirror the frame left to right: n_x changes sign and cx becomes W - 1 - cx.
+
+    HHA has no direction across the image, so it is mirrored like a colour. Padding stays at the
+    right, and W is the frame's own width.
+    """
+    _, width = frame_size(sample)
+
+    def mirror(name: str, image: Tensor) -> Tensor:
+        mirrored = torch.cat([image[..., :width].flip(-1), image[..., width:]], dim=-1)
+        if name == "normal":
+            # Taken from 0, so that none stays 0 and does not become -0.
+            mirrored[0] = 0 - mirrored[0]
+        return mirrored
+
+    result = _with_images(sample, mirror)
+    if "intrinsics" in sample:
+        k = sample["intrinsics"].clone()
+        k[0, 2] = width - 1 - k[0, 2]
+        result["intrinsics"] = k
+    return result
+
+
+def resize(sample: Sample, height: int, width: int) -> Sample:
+    """Scale the frame to (height, width), outer edges aligned; padding is dropped.
+
+    Depth and label take the nearest pixel. Colours and HHA are interpolated linearly, over the
+    area where the image shrinks, normals likewise and then brought to unit length. HHA and normals
+    are interpolated from the pixels that have them and are there where the nearest pixel has them,
+    so a normal is exactly where depth is if it was before. K is scaled with its edges aligned; a
+    different scale in x and y changes the camera, not the normals.
+
+    Notes
+    -----
+    A depth that stands up to half a pixel off its place is right for its label, and makes no
+    surface that the image does not have; but its differences are uneven unless the size shrinks
+    by a whole number. For normals, resize them, not the depth they come from.
+
+    Raises
+    ------
+    ArrayError
+        The size is not positive.
+    """
+    if height <= 0 or width <= 0:
+        raise ArrayError(f"resize: expected a positive size, found {width}x{height}")
+    old_height, old_width = frame_size(sample)
+    rows, columns = _nearest(old_height, height), _nearest(old_width, width)
+
+    def scale(name: str, image: Tensor) -> Tensor:
+        image = image[..., :old_height, :old_width]
+        nearest = image[..., rows[:, None], columns]
+        if name == "rgb":
+            return _linear_bytes(image, height, width)
+        if name == "hha":
+            return _rounded(_linear_where_known(image.float(), nearest, height, width))
+        if name == "normal":
+            return _unit_normals(_linear_where_known(image, nearest, height, width), nearest)
+        return nearest
+
+    result = {**_with_images(sample, scale), "size": (height, width)}
+    sx, sy = width / old_width, height / old_height
+    return _with_camera(result, [[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+
+
+def _nearest(old: int, new: int) -> Tensor:
+    """Return which of `old` pixels each of `new` has its centre in."""
+    # In integers: floating point puts centres that fall on an edge to either side.
+    return ((2 * torch.arange(new) + 1) * old) // (2 * new)
+
+
+def _linear(image: Tensor, height: int, width: int) -> Tensor:
+    """Interpolate (C, H, W) linearly; where it shrinks, over the area a pixel covers."""
+    return interpolate(
+        image[None], (height, width), mode="bilinear", align_corners=False, antialias=True
+    )[0]
+
+
+def _linear_bytes(image: Tensor, height: int, width: int) -> Tensor:
+    """Interpolate (C, H, W) uint8: where PyTorch does so in bytes, it is several times as fast."""
+    # PyTorch 2.13 computes nonsense in bytes where the result is one pixel wide.
+    if width > 1:
+        return _linear(image, height, width)
+    return _rounded(_linear(image.float(), height, width))
+
+
+def _rounded(image: Tensor) -> Tensor:
+    return image.round().clamp(0, 255).to(torch.uint8)
+
+
+def _linear_where_known(image: Tensor, nearest: Tensor, height: int, width: int) -> Tensor:
+    """Interpolate (C, H, W) from pixels that are not all 0; 0 where the nearest pixel is."""
+    known = (image != 0).any(dim=0, keepdim=True).to(image.dtype)
+    both = _linear(torch.cat([image, known]), height, width)
+    share = both[-1:]
+    there = (nearest != 0).any(dim=0, keepdim=True)
+    # The nearest pixel has a share of its own, so there is one wherever it is known.
+    return torch.where(there, both[:-1] / torch.where(there, share, 1.0), 0.0)
+
+
+def _unit_normals(mixed: Tensor, nearest: Tensor) -> Tensor:
+    """Bring (3, H, W) to unit length; where vectors cancelled, the nearest pixel's."""
+    length = torch.linalg.vector_norm(mixed, dim=0, keepdim=True)
+    cancelled = length < 1e-3
+    return torch.where(cancelled, nearest, mixed / torch.where(cancelled, 1.0, length))

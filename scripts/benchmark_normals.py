@@ -1,0 +1,164 @@
+"""Time normals of one 720p frame: nimprep, its peers and the streaming bound, side by side.
+
+    python scripts/benchmark_normals.py [--rounds N]
+
+The frame is GMRP's of the reference data (folder from NIMPREP_REFERENCE_DATA, else ../shared/data
+beside the project) or, without it, a synthetic one. A peer that is not installed is named as such;
+`pip install "nimprep[bench]"` brings them. Each time is the best of interleaved rounds, the thread
+count really set for each column. Every row takes float32 depth and leaves normals in an array that
+is there already where the peer can, unless its name says otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from normals_peers import PEERS
+from numba import float32, int64, njit, void
+
+from nimprep import Camera, estimate_normals
+from nimprep.camera import D415_HORIZONTAL_FOV_DEG
+from nimprep.derive.threads import available_cores, run_blocks
+
+Run = Callable[[], np.ndarray]
+
+HEIGHT, WIDTH = 720, 1280
+BLOCK_ROWS = 24
+SECONDS_PER_ROW = 4.0
+
+
+def load_frame() -> tuple[np.ndarray, str]:
+    """Return (720, 1280) float32 metres, 0 = none, and where they come from."""
+    here = Path(__file__).resolve().parent.parent
+    data = Path(os.environ.get("NIMPREP_REFERENCE_DATA", here.parent / "shared" / "data"))
+    path = data / "gmrp" / "depth_u16" / "000001.png"
+    if path.is_file():
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        return np.where(raw == 65535, 0, raw) / np.float32(1000), "GMRP 000001"
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    depth = 400 / (v + 100) + 0.2 * np.sin(u / 40)
+    depth[np.random.default_rng(0).random(depth.shape) < 0.2] = 0
+    return (np.round(depth * 1000) / 1000).astype(np.float32), "synthetic"
+
+
+@njit(void(float32[:, ::1], int64, int64, float32[:, ::1]), nogil=True, error_model="numpy")
+def _stream(depth, row_start, row_stop, out):
+    for v in range(row_start, row_stop):
+        row, target = depth[v], out[v]
+        for u in range(row.size):
+            z = row[u]
+            target[3 * u] = z
+            target[3 * u + 1] = z
+            target[3 * u + 2] = z
+
+
+def own_rows(depth: np.ndarray, camera: Camera, threads: int) -> dict[str, Run]:
+    """Return nimprep's rows and the streaming bound, on this many threads."""
+    out = np.zeros((*depth.shape, 3), np.float32)
+    flat = out.reshape(depth.shape[0], -1)
+
+    def bound() -> np.ndarray:
+        def block(i: int) -> None:
+            _stream(depth, i * BLOCK_ROWS, min((i + 1) * BLOCK_ROWS, depth.shape[0]), flat)
+
+        run_blocks(block, -(-depth.shape[0] // BLOCK_ROWS), threads)
+        return out
+
+    def nim(**options: object) -> Run:
+        return lambda: estimate_normals(depth, camera, num_threads=threads, **options)
+
+    return {
+        "nimprep nim": nim(out=out),
+        "nimprep nim, new array each time": nim(),
+        "nimprep nim, sign filter": nim(out=out, sign_filter=True),
+        "streaming bound": bound,
+    }
+
+
+def best_times(rows: dict[str, Run], rounds: int) -> dict[str, float]:
+    """Return the best time of each row, ms; slow rows take part in fewer rounds."""
+    times: dict[str, list[float]] = {name: [] for name in rows}
+    for run in rows.values():
+        run()
+    for _ in range(rounds):
+        for name, run in rows.items():
+            # Three in a row, so that nobody pays for the caches the one before has filled.
+            for _ in range(3):
+                if sum(times[name]) > SECONDS_PER_ROW:
+                    break
+                start = time.perf_counter()
+                run()
+                times[name].append(time.perf_counter() - start)
+    return {name: 1000 * min(taken) for name, taken in times.items()}
+
+
+def angle_to(reference: np.ndarray, normals: np.ndarray) -> float:
+    """Return the median angle between two fields of normals, degrees, either sign."""
+    found = np.nan_to_num(normals[..., :3].astype(np.float64))
+    both = (np.abs(reference).sum(-1) > 0) & (np.abs(found).sum(-1) > 0)
+    across = np.linalg.norm(np.cross(found[both], reference[both]), axis=-1)
+    along = np.abs(np.sum(found[both] * reference[both], axis=-1))
+    return float(np.degrees(np.median(np.arctan2(across, along))))
+
+
+def print_table(
+    one: dict[str, float], every: dict[str, float], angles: dict[str, float], threads: int
+) -> None:
+    base = "nimprep nim"
+    print(f"| | 1 thread, ms | ratio | {threads} threads, ms | ratio | median angle to nim |")
+    print("| --- | ---: | ---: | ---: | ---: | ---: |")
+    for name in one:
+        ratios = one[name] / one[base], every[name] / every[base]
+        angle = "" if name == "streaming bound" else f"{angles[name]:.2f}°"
+        print(
+            f"| {name} | {one[name]:.2f} | {ratios[0]:.2f} "
+            f"| {every[name]:.2f} | {ratios[1]:.2f} | {angle} |"
+        )
+
+
+def print_outcome(every: dict[str, float], peers: list[str]) -> None:
+    nim = every["nimprep nim"]
+    if peers:
+        fastest = min(peers, key=lambda name: every[name])
+        print(f"fastest peer: {fastest}, {every[fastest] / nim:.1f} times nim's time")
+    for name in peers:
+        if "torch" in name:
+            print(f"{name}: {every[name] / nim:.0f} times nim's time")
+    print(f"nim reaches {every['streaming bound'] / nim:.0%} of the streaming bound")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=30)
+    rounds = parser.parse_args().rounds
+    depth, source = load_frame()
+    camera = Camera.from_fov(D415_HORIZONTAL_FOV_DEG, WIDTH, HEIGHT)
+    print(f"{source}, {WIDTH}x{HEIGHT}, {np.mean(depth == 0):.0%} without depth\n")
+    reference = estimate_normals(depth, camera)
+    columns, angles, missing = [], {}, []
+    for threads in (1, available_cores()):
+        rows = own_rows(depth, camera, threads)
+        peers = {}
+        for prepare in PEERS:
+            try:
+                peers |= prepare(depth, camera, threads)
+            except ImportError as error:
+                missing.append(str(error.name))
+        rows |= peers
+        angles = {name: angle_to(reference, run()) for name, run in rows.items()}
+        columns.append(best_times(rows, rounds))
+    print_table(columns[0], columns[1], angles, available_cores())
+    for name in sorted(set(missing)):
+        print(f"{name}: not installed")
+    print()
+    print_outcome(columns[1], list(peers))
+
+
+if __name__ == "__main__":
+    main()

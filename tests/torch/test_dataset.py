@@ -1,0 +1,337 @@
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader, DistributedSampler
+
+import nimprep
+from nimprep.errors import ArrayError, StoreError
+from nimprep.store.statistics import channel_statistics
+from nimprep.torch import StoreDataset, collate
+from nimprep.torch.scaling import DEPTH_SCALE_M, Scaling
+from nimprep.torch.setups import CHANNELS, SETUPS
+from tests.fakes import SIZE
+from tests.torch.stores import FRAMES, make_mixed_store, make_store
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_store(tmp_path_factory.mktemp("store"))
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_mixed_store(tmp_path_factory.mktemp("mixed"))
+
+
+def jitter(sample: dict[str, object]) -> dict[str, object]:
+    """Add one random number to the colours."""
+    noise = torch.rand((), generator=sample["generator"])
+    return {**sample, "rgb": sample["rgb"].to(torch.float32) + noise}
+
+
+def expected(frame: nimprep.Frame, name: str) -> np.ndarray:
+    """Return what a network takes of a frame, by the documented constants."""
+    if name == "depth":
+        return frame.depth_m[None] / DEPTH_SCALE_M
+    image = np.moveaxis(getattr(frame, name), 2, 0)
+    return image if name == "normal" else image / 255
+
+
+@pytest.mark.parametrize("setup", SETUPS)
+def test_inputs_are_the_stores_images_one_below_the_other(path: Path, setup: str) -> None:
+    dataset = StoreDataset(path, split=None, setup=setup)
+    store = nimprep.open_store(path)
+    for i in (0, 7):
+        sample = dataset[i]
+        planes = np.concatenate([expected(store[i], name) for name in SETUPS[setup]])
+        assert sample["inputs"].dtype == torch.float32
+        np.testing.assert_allclose(sample["inputs"].numpy(), planes, atol=2e-7)
+        assert sample["label"].dtype == torch.int64
+        assert np.array_equal(sample["label"].numpy(), store[i].label)
+        assert sample["id"] == store.ids[i]
+        np.testing.assert_allclose(sample["intrinsics"].numpy(), store[i].camera.matrix, rtol=1e-6)
+        assert sample["size"].tolist() == list(SIZE)
+        assert set(sample) == {"inputs", "label", "id", "intrinsics", "size"}
+
+
+@pytest.mark.parametrize("setup", ["rgb+d", "rgb+hha", "nim-rgb+d"])
+def test_fusion_gives_the_same_numbers_as_a_pair(path: Path, setup: str) -> None:
+    whole = StoreDataset(path, split=None, setup=setup)[3]["inputs"]
+    pair = StoreDataset(path, split=None, setup=setup, fusion=True)[3]["inputs"]
+    assert isinstance(pair, tuple)
+    assert [len(part) for part in pair] == [CHANNELS[name] for name in SETUPS[setup]]
+    assert torch.equal(torch.cat(pair), whole)
+
+
+def test_ones_own_mix_has_a_float_tensor_per_name(path: Path) -> None:
+    names = ("rgb", "depth", "normal", "hha", "label")
+    sample = StoreDataset(path, split=None, modalities=names, normalize="none")[2]
+    frame = nimprep.open_store(path)[2]
+    assert set(sample) == {*names, "id", "intrinsics", "size"}
+    assert torch.equal(sample["depth"][0], torch.from_numpy(frame.depth_m))
+    assert np.array_equal(sample["rgb"].numpy(), np.moveaxis(frame.rgb, 2, 0))
+    assert np.array_equal(sample["hha"].numpy(), np.moveaxis(frame.hha, 2, 0))
+    np.testing.assert_allclose(sample["normal"].numpy(), expected(frame, "normal"), atol=2e-7)
+    assert "label" not in StoreDataset(path, split=None, modalities=("rgb",))[0]
+
+
+def test_a_split_has_its_own_frames(path: Path) -> None:
+    store = nimprep.open_store(path)
+    found = {s: StoreDataset(path, split=s, setup="rgb").ids for s in ("train", "val", "test")}
+    for split, ids in found.items():
+        assert ids == tuple(i for i in store.ids if store.splits[i] == split)
+    assert sum(map(len, found.values())) == FRAMES == len(StoreDataset(path, None, "rgb"))
+
+
+def test_int16_normals_give_what_they_are(tmp_path: Path) -> None:
+    path = make_store(tmp_path, normal_dtype="int16")
+    sample = StoreDataset(path, split=None, setup="nim-depth")[0]
+    frame = nimprep.open_store(path)[0]
+    np.testing.assert_allclose(sample["inputs"].numpy(), expected(frame, "normal"), atol=2e-7)
+
+
+def test_normals_can_be_computed_as_a_frame_is_read(tmp_path: Path) -> None:
+    path = make_store(tmp_path, modalities=("rgb", "depth"))
+    frame = nimprep.open_store(path)[1]
+    normal = nimprep.estimate_normals(frame.depth_m, frame.camera)
+    sample = StoreDataset(path, split=None, setup="nim-rgb+d", normals="nim")[1]
+    assert np.array_equal(sample["inputs"][3:].numpy(), np.moveaxis(normal, 2, 0))
+    assert (sample["label"] == 255).all(), "a store without labels gives ignore"
+    stored = StoreDataset(path, split=None, setup="nim-depth", normals="nim", dtype="stored")[1]
+    assert stored["normal"].dtype == torch.int8
+
+
+def test_a_missing_modality_is_named_with_what_to_do(tmp_path: Path) -> None:
+    path = make_store(tmp_path, modalities=("rgb", "depth"))
+    with pytest.raises(StoreError, match=r"expected hha, found only rgb, depth; .*--modalities"):
+        StoreDataset(path, split=None, setup="rgb+hha")
+    with pytest.raises(StoreError, match=r"expected normal, .*normals='nim'"):
+        StoreDataset(path, split=None, setup="nim-depth")
+    with pytest.raises(StoreError, match=r"expected label, .*dataset with labels"):
+        StoreDataset(path, split=None, modalities=("rgb", "label"))
+    rgb = make_store(tmp_path, modalities=("rgb",))
+    with pytest.raises(StoreError, match=r"expected depth, found only rgb"):
+        StoreDataset(rgb, split=None, setup="nim-depth", normals="nim")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"split": "training"}, "expected a split of .*'training'"),
+        ({"split": "none"}, "expected frames in split 'none', found 6 in train, 2 in val"),
+        ({"normals": "sobel"}, "normals: expected one of cached, nim.*'sobel'"),
+        ({"normalize": "mean"}, "normalize: expected one of constants, train, none"),
+        ({"dtype": "float16"}, "dtype: expected 'float32' or 'stored'"),
+        ({"dtype": "stored", "transform": jitter}, "dtype: expected 'float32' with a transform"),
+    ],
+)
+def test_an_option_that_is_none_is_refused(path: Path, options: dict, message: str) -> None:
+    with pytest.raises((StoreError, ArrayError), match=message):
+        StoreDataset(path, setup="rgb", **options)
+
+
+def test_no_store_is_an_error_of_its_own(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="found nothing"):
+        StoreDataset(tmp_path / "none.zarr", setup="rgb")
+
+
+def test_padding_is_ignore_and_the_size_is_the_frames_own(mixed: Path) -> None:
+    dataset = StoreDataset(mixed, split=None, setup="nim-rgb+d", normals="nim")
+    sample = dataset[3]
+    assert sample["size"].tolist() == [20, 28]
+    assert sample["inputs"].shape == (6, *SIZE)
+    assert (sample["label"][20:] == 255).all()
+    assert (sample["label"][:, 28:] == 255).all()
+    assert (sample["label"][:20, :28] != 255).all()
+    frame = nimprep.open_store(mixed)[3]
+    normal = nimprep.estimate_normals(frame.depth_m, frame.camera)
+    assert np.array_equal(sample["inputs"][3:, :20, :28].numpy(), np.moveaxis(normal, 2, 0))
+    assert not sample["inputs"][:, 20:].any()
+
+
+def test_normalising_by_the_train_split_gives_mean_0_and_spread_1(path: Path) -> None:
+    names = ("rgb", "depth", "hha")
+    dataset = StoreDataset(path, modalities=names, normalize="train")
+    raw = StoreDataset(path, modalities=names, normalize="none")
+    for name in names:
+        values = torch.stack([sample[name] for sample in dataset])
+        there = torch.stack([sample[name] for sample in raw])
+        if name != "rgb":
+            none = (there == 0).all(dim=1, keepdim=True).expand_as(there)
+            assert none.any() == (name == "depth") or none.any()
+            assert (values[none] == 0).all(), "none stays 0"
+            values = values[~none].reshape(1, -1) if name == "depth" else values
+        if name != "hha":
+            dims = [d for d in range(values.ndim) if d != 1] if name == "rgb" else [1]
+            std, mean = torch.std_mean(values, dim=dims, correction=0)
+            torch.testing.assert_close(mean, torch.zeros_like(mean), atol=1e-5, rtol=0)
+            torch.testing.assert_close(std, torch.ones_like(std), atol=1e-5, rtol=0)
+    found = channel_statistics(dataset.store)["hha"]
+    some = raw[0]["hha"].any(dim=0)
+    want = (raw[0]["hha"] - torch.tensor(found.mean)[:, None, None]) / torch.tensor(found.std)[
+        :, None, None
+    ]
+    torch.testing.assert_close(dataset[0]["hha"][:, some], want[:, some].float(), atol=1e-5, rtol=0)
+
+
+def test_val_is_normalised_by_the_train_split(path: Path) -> None:
+    train, val = (StoreDataset(path, s, "rgb", normalize="train") for s in ("train", "val"))
+    assert train.scaling == val.scaling
+
+
+def test_a_scaling_of_ones_own_is_taken(path: Path) -> None:
+    own = Scaling({"depth": (2.0,)}, {"depth": (1.0,)})
+    found = StoreDataset(path, None, "depth", normalize=own)[0]["inputs"]
+    depth = torch.from_numpy(nimprep.open_store(path)[0].depth_m)[None]
+    torch.testing.assert_close(found, torch.where(depth > 0, depth * 2 + 1, 0))
+    with pytest.raises(ArrayError, match="a number per channel"):
+        Scaling({"rgb": (1.0,)}, {})
+
+
+@pytest.mark.parametrize("normalize", ["constants", "train", "none"])
+@pytest.mark.parametrize("normals", ["cached", "nim"])
+def test_a_transform_that_changes_nothing_changes_no_bit(
+    path: Path, normalize: str, normals: str
+) -> None:
+    names = ("rgb", "depth", "normal", "hha", "label")
+    options = {"modalities": names, "normalize": normalize, "normals": normals}
+    plain = StoreDataset(path, **options)[1]
+    same = StoreDataset(path, transform=lambda sample: sample, **options)[1]
+    assert plain.keys() == same.keys()
+    for name in (*names, "intrinsics", "size"):
+        assert torch.equal(plain[name], same[name]), name
+        assert plain[name].dtype == same[name].dtype
+
+
+def test_a_transform_gets_what_is_promised_and_may_change_sizes(path: Path) -> None:
+    seen = {}
+
+    def half(sample: dict) -> dict:
+        seen.update(sample)
+        cut = {n: sample[n][..., ::2, ::2] for n in ("rgb", "depth", "label")}
+        return {**sample, **cut, "size": (12, 16)}
+
+    sample = StoreDataset(path, None, "rgb+d", transform=half)[0]
+    assert set(seen) == {"rgb", "depth", "label", "intrinsics", "id", "size", "generator"}
+    assert (seen["rgb"].dtype, seen["rgb"].shape) == (torch.uint8, (3, *SIZE))
+    assert (seen["depth"].dtype, seen["depth"].shape) == (torch.float32, (1, *SIZE))
+    assert (seen["label"].dtype, seen["label"].shape) == (torch.int64, SIZE)
+    assert (seen["intrinsics"].dtype, seen["size"]) == (torch.float64, SIZE)
+    assert sample["inputs"].shape == (4, 12, 16)
+    assert sample["size"].tolist() == [12, 16]
+
+
+def test_images_of_several_sizes_make_no_sample_and_no_batch(path: Path) -> None:
+    def only_rgb(sample: dict) -> dict:
+        return {**sample, "rgb": sample["rgb"][:, 1:]}
+
+    with pytest.raises(ArrayError, match=r"frame '000000': expected images of one size"):
+        StoreDataset(path, None, "rgb+d", transform=only_rgb)[0]
+
+    def by_id(sample: dict) -> dict:
+        rows = int(sample["id"])
+        return {**sample, **{n: sample[n][..., rows:, :] for n in ("rgb", "label")}}
+
+    with pytest.raises(ArrayError, match=r"one size in a batch.*crop or resize"):
+        StoreDataset(path, None, "rgb", transform=by_id).__getitems__([0, 1])
+
+
+@pytest.mark.parametrize("transform", [None, jitter])
+@pytest.mark.parametrize("fusion", [False, True])
+def test_a_batch_is_its_samples_stacked(path: Path, transform: object, fusion: bool) -> None:
+    dataset = StoreDataset(path, None, "rgb+d", fusion, transform)
+    order = [4, -1, 0]
+    batch = dataset.__getitems__(order)
+    stacked = collate([dataset[i] for i in order])
+    assert batch.keys() == stacked.keys() == dataset[0].keys()
+    assert batch["id"] == stacked["id"] == [dataset.ids[i] for i in order]
+    for name in ("inputs", "label", "intrinsics", "size"):
+        pair = zip(
+            *(b[name] if fusion and name == "inputs" else (b[name],) for b in (batch, stacked)),
+            strict=True,
+        )
+        for a, b in pair:
+            assert torch.equal(a, b)
+            assert len(a) == 3
+
+
+def test_an_index_beyond_the_split_is_an_index_error(path: Path) -> None:
+    dataset = StoreDataset(path, "val", "rgb")
+    assert torch.equal(dataset[-1]["inputs"], dataset[len(dataset) - 1]["inputs"])
+    for index in (len(dataset), -len(dataset) - 1):
+        with pytest.raises(IndexError):
+            dataset[index]
+
+
+def numbers(loader: DataLoader) -> dict[str, float]:
+    """Return a number per frame that its random colours decide."""
+    return {
+        frame_id: float(image.sum())
+        for batch in loader
+        for frame_id, image in zip(batch["id"], batch["inputs"].double(), strict=True)
+    }
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"num_workers": 1, "multiprocessing_context": "fork"},
+        {"num_workers": 2, "multiprocessing_context": "fork", "collate_fn": collate},
+        {"num_workers": 2, "multiprocessing_context": "spawn", "persistent_workers": True},
+    ],
+    ids=["fork", "collate", "spawn"],
+)
+def test_a_sample_is_the_same_on_any_number_of_workers(path: Path, options: dict) -> None:
+    dataset = StoreDataset(path, None, "rgb+d", transform=jitter, seed=3)
+    here = DataLoader(dataset, batch_size=4, shuffle=True)
+    there = DataLoader(dataset, batch_size=3, **options)
+    epochs = []
+    for epoch in range(2):
+        dataset.set_epoch(epoch)
+        epochs.append(numbers(here))
+        assert epochs[-1] == numbers(there)
+        assert len(epochs[-1]) == FRAMES
+    assert epochs[0] != epochs[1]
+    assert epochs[0] != numbers(DataLoader(StoreDataset(path, None, "rgb+d", transform=jitter)))
+
+
+@pytest.mark.parametrize("dtype", ["float32", "stored"])
+def test_a_worker_hands_over_what_the_process_itself_reads(path: Path, dtype: str) -> None:
+    names = ("rgb", "depth", "normal", "label")
+    dataset = StoreDataset(path, None, modalities=names, dtype=dtype)
+    here, there = (list(DataLoader(dataset, batch_size=4, num_workers=n)) for n in (0, 1))
+    assert len(here) == len(there) == 3
+    for a, b in zip(here, there, strict=True):
+        assert type(a) is dict
+        assert a["id"] == b["id"]
+        assert all(torch.equal(a[name], b[name]) for name in names)
+
+
+def test_processes_of_a_distributed_run_share_the_frames(path: Path) -> None:
+    dataset = StoreDataset(path, None, "rgb")
+    ids = []
+    for rank in range(2):
+        sampler = DistributedSampler(dataset, num_replicas=2, rank=rank, shuffle=True)
+        ids += [i for batch in DataLoader(dataset, 2, sampler=sampler) for i in batch["id"]]
+    assert sorted(ids) == sorted(dataset.ids)
+
+
+def test_a_dataset_pickles_with_its_epoch(path: Path) -> None:
+    dataset = StoreDataset(path, None, "rgb", transform=jitter)
+    dataset.set_epoch(4)
+    again = pickle.loads(pickle.dumps(dataset))
+    assert again.epoch == 4
+    assert torch.equal(again[2]["inputs"], dataset[2]["inputs"])
+
+
+def test_a_flipped_bit_is_an_error_in_the_loop(tmp_path: Path) -> None:
+    path = make_store(tmp_path)
+    shard = next(p for p in (path / "rgb" / "c").rglob("*") if p.is_file())
+    data = bytearray(shard.read_bytes())
+    data[100] ^= 1
+    shard.write_bytes(data)
+    with pytest.raises(StoreError, match="wrong checksum"):
+        list(DataLoader(StoreDataset(path, None, "rgb"), batch_size=2))

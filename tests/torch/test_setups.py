@@ -1,0 +1,81 @@
+import subprocess
+import sys
+
+import pytest
+
+import nimprep.torch
+from nimprep.errors import ArrayError
+from nimprep.torch.setups import SETUPS, select
+
+
+@pytest.mark.parametrize(
+    ("setup", "channels"),
+    [
+        ("rgb", 3),
+        ("depth", 1),
+        ("hha", 3),
+        ("rgb+d", 4),
+        ("rgb+hha", 6),
+        ("nim-depth", 3),
+        ("nim-rgb+d", 6),
+    ],
+)
+def test_a_setup_has_the_papers_channels(setup: str, channels: int) -> None:
+    assert select(setup).channels == (channels,)
+
+
+@pytest.mark.parametrize(
+    ("setup", "channels"), [("rgb+d", (3, 1)), ("rgb+hha", (3, 3)), ("nim-rgb+d", (3, 3))]
+)
+def test_a_fused_setup_keeps_its_two_parts(setup: str, channels: tuple[int, int]) -> None:
+    assert select(setup, fusion=True).channels == channels
+
+
+def test_there_are_seven_setups() -> None:
+    assert len(SETUPS) == 7
+
+
+def test_ones_own_mix_has_a_tensor_per_name() -> None:
+    selection = select(None, modalities=("rgb", "label", "normal"))
+    assert selection.images == ("rgb", "normal")
+    assert selection.label
+    assert selection.inputs == ()
+    assert not select(None, modalities=["depth"]).label
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"setup": "rgbd"}, r"setup: expected one of rgb, .*nim-rgb\+d, found 'rgbd'"),
+        ({"setup": "rgb", "fusion": True}, r"fusion: expected .*rgb\+d.*, found 'rgb'"),
+        ({"setup": None}, "either a setup or modalities"),
+        ({"setup": "rgb", "modalities": ("rgb",)}, "either a setup or modalities"),
+        ({"setup": None, "modalities": ("rgb", "nomral")}, "modalities: expected some of rgb"),
+        ({"setup": None, "modalities": ("rgb", "rgb")}, "each once"),
+        ({"setup": None, "modalities": ()}, "modalities: expected some of"),
+        ({"setup": None, "modalities": ("rgb", "depth"), "fusion": True}, "expected a setup"),
+    ],
+)
+def test_what_is_no_selection_is_refused(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(ArrayError, match=message):
+        select(**arguments)
+
+
+def test_every_public_name_is_there() -> None:
+    for name in nimprep.torch.__all__:
+        assert getattr(nimprep.torch, name) is not None
+        assert name in dir(nimprep.torch)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        nimprep.torch.nothing  # noqa: B018
+
+
+def test_without_pytorch_the_error_says_how_to_get_it() -> None:
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "from nimprep.errors import NimprepError\n"
+        "try:\n    import nimprep.torch\n"
+        "except NimprepError as error:\n    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.count("\n") == 1
+    assert "pip install 'nimprep[torch]'" in done.stdout
