@@ -10,6 +10,8 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.errors import ArrayError
 
+_INFINITY_BITS = 0x7F800000
+
 
 def checked_depth(depth_m: Any, camera: Camera | None = None) -> npt.NDArray[np.float32]:
     """Return depth as C-contiguous float32 metres, NaN read as 0.
@@ -46,6 +48,9 @@ def checked_depth(depth_m: Any, camera: Camera | None = None) -> npt.NDArray[np.
             "crop or resize the camera along with the image"
         )
     depth = np.ascontiguousarray(depth, dtype=np.float32)
+    # Finite and not negative = below infinity's bits: one fast pass says so for nearly all depth.
+    if depth.view(np.uint32).max() < _INFINITY_BITS:
+        return depth
     lowest, highest = depth.min(), depth.max()
     if np.isnan(lowest):
         depth = np.nan_to_num(depth, nan=0.0, posinf=np.inf, neginf=-np.inf)
