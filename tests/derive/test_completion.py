@@ -226,5 +226,5 @@ def test_colorization_refuses_what_is_no_picture(rgb: np.ndarray | None) -> None
 def test_colorization_without_scipy_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.sparse", None)
     monkeypatch.setitem(sys.modules, "scipy.sparse.linalg", None)
-    with pytest.raises(NimprepError, match="expected SciPy, found none installed; pip install"):
+    with pytest.raises(NimprepError, match="expected SciPy, found none; pip install"):
         fill_depth(with_holes(slope(), 0.3), "colorization", picture())
