@@ -1,0 +1,130 @@
+"""The example that trains: it learns, goes on where it stopped, and scores what it writes."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import nimprep
+from nimprep.cli import main
+from nimprep.synthetic import write_synthetic
+from tests.conftest import PROJECT
+from tests.fakes import NYU_LIKE, depth_image, write_png
+
+torch = pytest.importorskip("torch")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    """Images this small take longer on several threads than on one."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def train():
+    """Return scripts/train.py as a module."""
+    spec = importlib.util.spec_from_file_location("train", PROJECT / "scripts" / "train.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """Return a store of 12 small synthetic frames with every modality."""
+    root = tmp_path_factory.mktemp("train")
+    write_synthetic(root / "raw", 12, size=(48, 64))
+    nimprep.convert(root / "raw", root / "s.zarr")
+    return root / "s.zarr"
+
+
+def run(train, store, out, *more, epochs=3):
+    arguments = [store, "--out", out, "--epochs", epochs, "--crop", 32, 48, *more]
+    return train.main([str(a) for a in arguments])
+
+
+def same(one, other):
+    """Tell whether two results have the same losses and the same confusion matrices."""
+    return one["losses"] == other["losses"] and all(
+        np.array_equal(one["scores"][split].confusion, other["scores"][split].confusion)
+        for split in ("val", "test")
+    )
+
+
+def test_the_loss_falls_and_the_command_scores_the_predictions_the_same(
+    train, store, tmp_path, capsys
+):
+    (result,) = run(train, store, tmp_path, epochs=5)
+    assert result["losses"][-1] < 0.8 * result["losses"][0]
+    printed = capsys.readouterr().out
+    for split in ("val", "test"):
+        folder = tmp_path / "nim-rgb+d" / "predictions" / split
+        told = CliRunner().invoke(main, ["evaluate", str(store), str(folder), "--json"])
+        assert told.exit_code == 0
+        assert json.loads(told.stdout) == result["scores"][split].to_dict()
+        assert f"{result['scores'][split].mean['iou']:8.4f}" in printed
+
+
+def test_a_run_that_was_cut_short_goes_on_to_the_same_result(train, store, tmp_path, monkeypatch):
+    (whole,) = run(train, store, tmp_path / "whole")
+    epochs = []
+
+    def cut_short(*arguments):
+        epochs.append(train_epoch(*arguments))
+        if len(epochs) == 2:
+            raise KeyboardInterrupt
+        return epochs[-1]
+
+    train_epoch = train.train_epoch
+    with monkeypatch.context() as patched:
+        patched.setattr(train, "train_epoch", cut_short)
+        with pytest.raises(KeyboardInterrupt):
+            run(train, store, tmp_path / "cut")
+    saved = torch.load(tmp_path / "cut" / "nim-rgb+d" / "checkpoint.pt", weights_only=True)
+    assert saved["epoch"] == 1
+    (resumed,) = run(train, store, tmp_path / "cut", "--resume")
+    assert same(resumed, whole)
+    (other,) = run(train, store, tmp_path / "other", "--seed", 1)
+    assert not same(other, whole)
+
+
+def test_every_setup_and_every_fusion_has_its_row(train, store, tmp_path, capsys):
+    seven = run(train, store, tmp_path, "--setups", "all", "--batch", 8, epochs=1)
+    assert [result["name"] for result in seven] == list(train.SETUPS)
+    assert capsys.readouterr().out.count(" test ") == 7
+    three = run(train, store, tmp_path, "--setups", "all", "--fusion", "--batch", 8, epochs=1)
+    assert [r["name"] for r in three] == ["rgb+d-fusion", "rgb+hha-fusion", "nim-rgb+d-fusion"]
+
+
+def test_frames_of_several_sizes_train_together_and_are_predicted_at_their_own(train, tmp_path):
+    sizes = {"a": (40, 56), "b": (33, 70), "c": (48, 48), "d": (40, 56), "e": (37, 51)}
+    for name, size in sizes.items():
+        write_png(tmp_path / "raw" / "color" / f"{name}.png", np.full((*size, 3), 90, np.uint8))
+        write_png(tmp_path / "raw" / "depth" / f"{name}.png", depth_image(1, size))
+        write_png(tmp_path / "raw" / "label" / f"{name}.png", np.full(size, 40, np.uint16))
+    description = {k: v for k, v in NYU_LIKE.items() if k not in ("camera", "group")}
+    description["depth"] = {"files": "depth/{id}.png", "scale_m": 0.001, "invalid": [0, 65535]}
+    (tmp_path / "description.json").write_text(json.dumps(description))
+    nimprep.convert(
+        tmp_path / "raw",
+        tmp_path / "s.zarr",
+        description=tmp_path / "description.json",
+        camera=(50, 50, 25, 20),
+    )
+    (result,) = run(train, tmp_path / "s.zarr", tmp_path / "out", "--batch", 2, epochs=1)
+    for split in ("val", "test"):
+        (frame_id,) = result["scores"][split].frames
+        counted = result["scores"][split].confusion.sum()
+        assert counted == sizes[frame_id][0] * sizes[frame_id][1]
+        folder = tmp_path / "out" / "nim-rgb+d" / "predictions" / split
+        told = CliRunner().invoke(
+            main, ["evaluate", str(tmp_path / "s.zarr"), str(folder), "--json"]
+        )
+        assert json.loads(told.stdout) == result["scores"][split].to_dict()
