@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -110,8 +112,11 @@ def _check_png_chunks(data: bytes, path: Path) -> None:
 def _load_npy(path: Path) -> npt.NDArray[Any]:
     try:
         array: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise DecodeError(f"{path}: expected a NumPy array file, found {error}") from error
+    # NumPy parses the header as Python and raises what the parser raises.
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError, TokenError) as e:
+        raise DecodeError(f"{path}: expected a NumPy array file, found {e}") from e
+    if not isinstance(array, np.ndarray):
+        raise DecodeError(f"{path}: expected a NumPy array file, found an archive of several")
     if array.ndim < 2 or not 0 < array.shape[0] * array.shape[1] <= MAX_PIXELS:
         raise DecodeError(
             f"{path}: expected an image of 1 to {MAX_PIXELS} pixels, found shape {array.shape}"
@@ -120,6 +125,8 @@ def _load_npy(path: Path) -> npt.NDArray[Any]:
 
 
 def _decode(data: bytes, path: Path, *, color: bool) -> npt.NDArray[Any]:
+    # Read when OpenCV is first imported: formats whose header is not parsed here obey it too.
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MAX_PIXELS))
     import cv2
 
     if data.startswith(_PNG_SIGNATURE):
@@ -208,4 +215,12 @@ def read_label(path: Path) -> npt.NDArray[Any]:
                 f"found {image.shape[2]} of {image.dtype}"
             )
         return np.ascontiguousarray(image[:, :, 2::-1])
-    return image
+    return _unscaled(image, path)
+
+
+def _unscaled(image: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
+    """Return the values of a PNG of 1, 2 or 4 bits, which OpenCV spreads over 0-255."""
+    if path.suffix == ".npy":
+        return image
+    bits = read_header(path).bits
+    return image // np.uint8(255 // ((1 << bits) - 1)) if bits < 8 else image

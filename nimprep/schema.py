@@ -48,6 +48,10 @@ def check_json(
         raise error(f"{where}: expected JSON of schema {name!r}, found {problems[0]}{more}")
 
 
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name}, which is no JSON number")
+
+
 def read_json(path: Path, error: type[NimprepError] = DecodeError) -> Any:
     """Read a JSON file of a user's.
 
@@ -57,7 +61,7 @@ def read_json(path: Path, error: type[NimprepError] = DecodeError) -> Any:
         Of the class given: the file is missing, unreadable, or not JSON.
     """
     try:
-        return json.loads(path.read_text("utf-8"))
+        return json.loads(path.read_text("utf-8-sig"), parse_constant=_refuse_constant)
     except OSError as caught:
         raise error(f"{path}: expected a readable JSON file, found {caught.strerror}") from caught
     except (ValueError, RecursionError) as caught:

@@ -42,7 +42,10 @@ def _modalities(
 @click.argument("src", type=click.Path(path_type=Path))
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option(
-    "--reader", default="auto", metavar="NAME", help="gmrp, kitti-road, folder; default: by layout."
+    "--reader",
+    type=click.Choice(["auto", "gmrp", "kitti-road", "folder"]),
+    default="auto",
+    help="Layout of SRC; default: by its folders.",
 )
 @click.option(
     "--description",
@@ -60,9 +63,7 @@ def _modalities(
     help="Cut sides that have depth in no frame, or so many pixels: top,bottom,left,right.",
 )
 @click.option("--no-labels", "labels", flag_value=False, default=True, help="Convert without.")
-@click.option(
-    "--depth-scale", type=click.FloatRange(0, min_open=True), help="Metres per raw depth unit."
-)
+@click.option("--depth-scale", type=click.FloatRange(1e-9, 1000), help="Metres per raw depth unit.")
 @click.option(
     "--target",
     type=click.Choice(["road", "lane"]),

@@ -76,6 +76,11 @@ def source_digest(reader: Reader, frame_id: str) -> str:
 def _padded(image: npt.NDArray[Any], shape: tuple[int, ...], fill: int) -> npt.NDArray[Any]:
     if image.shape == shape:
         return image
+    if image.shape[0] > shape[0] or image.shape[1] > shape[1]:
+        raise ArrayError(
+            f"expected at most {shape[1]}x{shape[0]} pixels like the dataset's depth, "
+            f"found {image.shape[1]}x{image.shape[0]}"
+        )
     padded = np.full(shape, fill, dtype=image.dtype)
     padded[: image.shape[0], : image.shape[1]] = image
     return padded
@@ -99,13 +104,14 @@ def encode_frame(
     frame = reader.read(frame_id, wanted)
     try:
         stored, gravity = _stored_images(frame, layout, recipe)
+        chunks = _chunks(frame, stored, layout)
     except ArrayError as error:
         raise DecodeError(f"frame {frame_id!r}: {error}") from error
     counts = np.zeros(65536, dtype=np.int64)
     if "depth" in stored:
         counts = np.bincount(stored["depth"].reshape(-1), minlength=65536)
     return EncodedFrame(
-        chunks=_chunks(frame, stored, layout),
+        chunks=chunks,
         camera=frame.camera,
         group=frame.group,
         baseline_m=frame.baseline_m,
@@ -142,6 +148,10 @@ def _as_stored(
 ) -> tuple[Frame, npt.NDArray[np.uint16]]:
     """Round depth to what a store can say; return the frame with it, and it in millimetres."""
     millimetres = depth_to_millimetres(depth_m)
+    if not millimetres.any():
+        raise ArrayError(
+            "expected depth of 0.5 mm to 65.535 m somewhere, found none; check --depth-scale"
+        )
     return replace(frame, depth_m=depth_from_millimetres(millimetres)), millimetres
 
 

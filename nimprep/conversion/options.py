@@ -102,10 +102,13 @@ class ConvertOptions:
         for name, number in (
             ("shard_length", self.shard_length),
             ("workers", self.workers),
-            ("depth_scale", self.depth_scale),
         ):
             if number is not None and not number > 0:
                 raise ArrayError(f"{name}: expected a positive number, found {number}")
+        if self.depth_scale is not None and not 1e-9 <= self.depth_scale <= 1000:
+            raise ArrayError(
+                f"depth_scale: expected 1e-9 to 1000 metres per unit, found {self.depth_scale}"
+            )
         _ = self.recipe  # checks what it is made of
         for name in self.modalities or ():
             if name not in MODALITIES:

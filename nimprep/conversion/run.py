@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import os
+import shutil
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -19,12 +19,12 @@ from nimprep.conversion.encode import EncodedFrame, encode_frame
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_splits
 from nimprep.derive.modalities import Recipe
-from nimprep.errors import NimprepError
+from nimprep.derive.threads import available_cores
 from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store, open_store
-from nimprep.store.writer import StoreWriter, prepare_target, remove_store
+from nimprep.store.writer import StoreWriter, check_target, make_partial, move_into_place
 
 Progress = Callable[[str, int], Callable[[], None]]
 """Called with a step's name and its number of frames; returns what to call after each frame."""
@@ -45,8 +45,8 @@ def convert(
     source : path
         The dataset's folder; nothing in it is written to.
     target : path
-        The store's folder, ending in .zarr by custom. It is complete when this returns; where it
-        raises, nothing is left there.
+        The store's folder, ending in .zarr by custom. It is written in a hidden folder beside its
+        place and gets its name when it is complete; until then what is there stays.
     options : ConvertOptions, optional
     progress : callable, optional
         Called with a step's name and its number of frames; what it returns is called after each.
@@ -70,7 +70,7 @@ def convert(
     options = replace(options or ConvertOptions(), **changes)
     source, target = Path(source), Path(target)
     check_apart(source, target)
-    workers = options.workers or len(os.sched_getaffinity(0))
+    workers = options.workers or available_cores()
     start = progress or (lambda step, frames: lambda: None)
     reader = open_reader(source, options.reader, options.reading)
     if options.crop == "auto":
@@ -81,30 +81,23 @@ def convert(
     layout = plan_layout(reader, options)
     # Splits are made before anything is written: a wrong split file must not cost a conversion.
     splits = plan_splits(reader, options)
-    prepare_target(target, overwrite=options.overwrite)
+    check_target(target, overwrite=options.overwrite)
+    partial = make_partial(target)
     try:
         attributes = describe(reader, layout, options)
-        writer = StoreWriter(target, layout, attributes)
+        writer = StoreWriter(partial, layout, attributes)
         done = start("converting", len(reader.ids))
         collected = Collected(splits)
         write_images(reader, writer, options.recipe, workers, collected, done)
         writer.finish(collected.tables(), {**attributes, **collected.summary()})
-    except BaseException:
-        try_to_remove(target)
-        raise
+        move_into_place(partial, target, overwrite=options.overwrite)
+    finally:
+        # Gone by now where all went well.
+        shutil.rmtree(partial, ignore_errors=True)
     # Said last, beside the summary: at the start it would scroll away, and bad data gets one line.
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
     return open_store(target)
-
-
-def try_to_remove(target: Path) -> None:
-    """Remove what was written; where that fails too, what is left says it is not complete."""
-    try:
-        remove_store(target)
-        target.rmdir()
-    except (OSError, NimprepError):
-        return
 
 
 class Collected:

@@ -92,6 +92,9 @@ def camera_from_document(document: Any, where: str) -> CameraSource:
         float(document["cx"]) - origin,
         float(document["cy"]) - origin,
     )
-    Camera(*numbers, width=1, height=1)
+    try:
+        Camera(*numbers, width=1, height=1)
+    except CameraError as error:
+        raise CameraError(f"{where}: {error}") from error
     size = (int(document["height"]), int(document["width"])) if "width" in document else None
     return CameraSource("file", where, numbers, size, float(document.get("baseline_m", "nan")))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -81,6 +81,8 @@ def description_from_file(path: Path | str) -> Description:
         for value in [*(label_map or {}).values(), label_default]:
             if value is not None and value not in known:
                 raise LayoutError(f"{path}: expected labels mapped to classes, found {value}")
+    if document.get("group", "{group}").count("{group}") != 1:
+        raise LayoutError(f"{path}: expected one {{group}} in 'group', found several")
     depth = document["depth"]
     return Description(
         name=document["name"],
@@ -113,7 +115,7 @@ def _pattern_regex(pattern: str, placeholder: str, span: str) -> re.Pattern[str]
             parts.append(r"(?:.*/)?" if token.endswith("/") else r".*")
         else:
             parts.append({"*": "[^/]*", "?": "[^/]"}.get(token, re.escape(token)))
-    return re.compile("".join(parts))
+    return re.compile("".join(parts), re.DOTALL | re.IGNORECASE)
 
 
 def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
@@ -136,13 +138,11 @@ def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
     if not start.is_dir():
         raise LayoutError(f"{start}: expected a folder with files {pattern!r}, found none")
     found: dict[str, Path] = {}
-    for folder, subfolders, names in os.walk(start):
-        subfolders[:] = sorted(s for s in subfolders if not s.startswith("."))
-        for name in sorted(n for n in names if not n.startswith(".")):
-            path = Path(folder, name)
-            match = regex.fullmatch(path.relative_to(root).as_posix())
-            if match is None:
-                continue
+    for path in _files_below(start):
+        match = regex.fullmatch(path.relative_to(root).as_posix())
+        if match is not None:
+            if not match["id"].isprintable():
+                raise LayoutError(f"{path!a}: expected a printable file name, found another")
             if match["id"] in found:
                 raise LayoutError(
                     f"{path}: expected one file per id {match['id']!r}, found "
@@ -150,6 +150,29 @@ def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
                 )
             found[match["id"]] = path
     return found
+
+
+def _files_below(start: Path) -> Iterator[Path]:
+    """Yield files in order, through links, each folder once; hidden ones are passed over."""
+
+    def refuse(error: OSError) -> None:
+        raise LayoutError(
+            f"{error.filename}: expected a readable folder, found {error.strerror}"
+        ) from error
+
+    seen: set[str] = set()
+    for folder, subfolders, names in os.walk(start, onerror=refuse, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in seen:
+            subfolders.clear()
+            continue
+        seen.add(real)
+        subfolders[:] = sorted(s for s in subfolders if not s.startswith("."))
+        for name in sorted(n for n in names if not n.startswith(".")):
+            path = Path(folder, name)
+            # A pipe or a device would wait for ever; a link to nothing is an error when read.
+            if path.is_file() or not path.exists():
+                yield path
 
 
 def group_of(frame_id: str, pattern: str | None) -> str:

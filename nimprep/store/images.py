@@ -13,7 +13,7 @@ from nimprep.frame import MAX_PIXELS
 from nimprep.store.buffers import empty
 from nimprep.store.metadata import read_document
 from nimprep.store.shards import decode_chunk, read_chunk, read_index
-from nimprep.store.spec import ArraySpec
+from nimprep.store.spec import MAX_FRAMES, ArraySpec
 
 
 class ImageArray:
@@ -93,6 +93,11 @@ def layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
         return [f"expected an array's metadata, found it malformed ({error!r})"]
 
 
+def _byte_orders(spec: ArraySpec, codec: dict[str, Any]) -> tuple[str, str]:
+    found = codec.get("configuration", {}).get("endian", "little")
+    return "little", found if spec.dtype.endswith("16") else "little"
+
+
 def _layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
     problems = []
     shape = document["shape"]
@@ -102,6 +107,8 @@ def _layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
     blosc = [codec["name"] for codec in inner["codecs"]]
     expected: list[tuple[str, Any, Any]] = [
         ("zarr_format", 3, document["zarr_format"]),
+        ("node_type", "array", document["node_type"]),
+        ("key encoding", "default", document["chunk_key_encoding"]["name"]),
         ("dimension names", list(spec.dims), document.get("dimension_names")),
         ("data type", spec.dtype, document["data_type"]),
         ("fill value", spec.fill, document["fill_value"]),
@@ -111,6 +118,7 @@ def _layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
         ("codec", "sharding_indexed", sharding["name"]),
         ("codecs", 1, len(document["codecs"])),
         ("chunk codecs", ["bytes", "blosc", "crc32c"], blosc),
+        ("byte order", *_byte_orders(spec, inner["codecs"][0])),
         ("chunk shape", [1, *shape[1:]], inner["chunk_shape"]),
         ("shard shape", [grid[0], *shape[1:]], grid),
         ("index place", "end", inner.get("index_location", "end")),
@@ -121,7 +129,8 @@ def _layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
         if wanted != found:
             problems.append(f"expected {what} {wanted}, found {found}")
     numbers = [*shape, grid[0]]
-    if not all(type(n) is int and n > 0 for n in numbers) or grid[0] > 1 << 16:
+    sane = all(type(n) is int and n > 0 for n in numbers)
+    if not sane or grid[0] > 1 << 16 or shape[0] > MAX_FRAMES:
         problems.append(f"expected positive sizes, found shape {shape} in shards of {grid[0]}")
     elif shape[1] * shape[2] > MAX_PIXELS or (len(shape) == 4 and shape[3] != 3):
         problems.append(f"expected images of at most {MAX_PIXELS} pixels, found shape {shape}")

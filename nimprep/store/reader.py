@@ -14,11 +14,12 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
 from nimprep.frame import MODALITIES, Frame, LabelClass
+from nimprep.schema import check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
 from nimprep.store.frames import StoredFrame, check_size
 from nimprep.store.images import ImageArray
-from nimprep.store.metadata import read_attributes
-from nimprep.store.spec import TABLE_SHAPES, TABLES, image_specs
+from nimprep.store.metadata import read_attributes, read_document
+from nimprep.store.spec import MAX_FRAMES, TABLE_SHAPES, TABLES, ArraySpec, image_specs
 
 
 @dataclass(frozen=True)
@@ -49,16 +50,8 @@ def read_tables(store: Path) -> Tables:
     arrays: dict[str, npt.NDArray[Any]] = {}
     for name, spec in TABLES.items():
         try:
-            array = zarr.open_array(store / name, mode="r")
-            if array.ndim != len(spec.dims) or array.shape[1:] != TABLE_SHAPES.get(name, ()):
-                raise StoreError(
-                    f"{store / name}: expected (frame, *{TABLE_SHAPES.get(name, ())}), "
-                    f"found {array.shape}"
-                )
-            # Without this, a chunk that is gone reads as if it were all fill value.
-            if not (store / name / "c").exists():
-                raise StoreError(f"{store / name}: expected its chunk, found none")
-            arrays[name] = np.asarray(array[...])
+            _check_table(store / name, spec, TABLE_SHAPES.get(name, ()))
+            arrays[name] = np.asarray(zarr.open_array(store / name, mode="r")[...])
         except StoreError:
             raise
         # Zarr's codecs raise whatever their libraries do; each is this array's damage.
@@ -84,6 +77,25 @@ def read_tables(store: Path) -> Tables:
         gravity=arrays["gravity"],
         channel_sums=arrays["channel_sums"],
     )
+
+
+def _check_table(path: Path, spec: ArraySpec, rest: tuple[int, ...]) -> None:
+    """Raise `StoreError` unless a table is one chunk of the shape it should have, and there."""
+    document = read_document(path / "zarr.json")
+    shape = document["shape"]
+    chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
+    if shape[1:] != list(rest) or chunk != shape or not 0 < shape[0] <= MAX_FRAMES:
+        raise StoreError(
+            f"{path}: expected (frame, *{rest}) in one chunk, found {shape} in chunks of {chunk}"
+        )
+    if document.get("dimension_names") != list(spec.dims):
+        raise StoreError(
+            f"{path}: expected dimensions {list(spec.dims)}, "
+            f"found {document.get('dimension_names')}"
+        )
+    # Without this, a chunk that is gone reads as if it were all fill value.
+    if not path.joinpath("c", *["0"] * len(shape)).is_file():
+        raise StoreError(f"{path}: expected its chunk, found none")
 
 
 class Store:
@@ -112,18 +124,13 @@ class Store:
     def __init__(self, path: Path, modalities: Collection[str] | None = None) -> None:
         self.path = path
         self.attributes = read_attributes(path)
-        try:
-            self.classes = tuple(
-                LabelClass(c["id"], c["name"], tuple(c["color"]))
-                for c in self.attributes["classes"]
-            )
-            stored = tuple(m for m in MODALITIES if m in self.attributes["modalities"])
-            normal_dtype = self.attributes["modalities"].get("normal", {}).get("dtype", "int8")
-            specs = image_specs(self.classes, normal_dtype)
-        except (KeyError, TypeError, AttributeError, IndexError) as error:
-            raise StoreError(
-                f"{path}: expected attributes of schema 'store', found {error!r} wrong or missing"
-            ) from error
+        check_json(self.attributes, "store", f"{path}: attributes", StoreError)
+        self.classes = tuple(
+            LabelClass(c["id"], c["name"], tuple(c["color"])) for c in self.attributes["classes"]
+        )
+        stored = tuple(m for m in MODALITIES if m in self.attributes["modalities"])
+        normal_dtype = self.attributes["modalities"].get("normal", {}).get("dtype", "int8")
+        specs = image_specs(self.classes, normal_dtype)
         self.modalities = stored if modalities is None else tuple(modalities)
         for name in self.modalities:
             if name not in stored:
@@ -135,9 +142,9 @@ class Store:
         self.ids = self.tables.frame_id
         self.arrays = {name: ImageArray(path, name, specs[name]) for name in self.modalities}
         for name, array in self.arrays.items():
-            if len(array) != len(self.ids):
+            if array.shape[0] != len(self.ids):
                 raise StoreError(
-                    f"{path / name}: expected {len(self.ids)} frames, found {len(array)}"
+                    f"{path / name}: expected {len(self.ids)} frames, found {array.shape[0]}"
                 )
 
     def __len__(self) -> int:

@@ -226,6 +226,9 @@ def chunk_codec(preset: str, dtype: str) -> ChunkCodec:
     )
 
 
+MAX_FRAMES = 1 << 28
+"""A store that claims more frames is refused before anything is allocated for them."""
+
 SHARD_LENGTH = 32
 """Frames per shard: the unit of work and of writing."""
 

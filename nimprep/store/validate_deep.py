@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.derive.modalities import DERIVED, derive, fill_frame, recipe_from
+from nimprep.derive.threads import available_cores
 from nimprep.errors import NimprepError
 from nimprep.frame import IGNORE_LABEL, Frame
 from nimprep.store.frames import depth_from_millimetres, normals_to_integers
@@ -39,7 +39,7 @@ def check_pixels(
         done()
         return found
 
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(available_cores()) as pool:
         for number, problems in enumerate(pool.map(check, range(len(store)))):
             for problem in problems:
                 report.add(f"frame {number} ({store.ids[number]!r}): {problem}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import json
+import os
 import shutil
 import warnings
 from collections.abc import Mapping, Sequence
@@ -71,52 +73,92 @@ class StoreLayout:
         return (self.height, self.width, 3) if color else (self.height, self.width)
 
 
-def prepare_target(target: Path, *, overwrite: bool) -> None:
-    """Make sure that a store may be written to `target`, and remove what it replaces.
+def check_target(target: Path, *, overwrite: bool) -> None:
+    """Make sure that a store may be written to `target`.
 
-    A store cut short is replaced without asking; a complete one only where `overwrite` says so;
-    a folder of anything else never.
+    A store cut short may be replaced without asking; a complete one only where `overwrite` says
+    so; a folder of anything else never.
 
     Raises
     ------
     StoreError
-        Something is there that must stay, or the place cannot be written.
+        Something is there that must stay.
     """
-    if target.is_symlink() or (target.exists() and not target.is_dir()):
-        raise StoreError(f"{target}: expected a free name for the store, found a file or link")
-    if target.is_dir() and any(target.iterdir()):
-        try:
-            found = read_attributes(target, complete=False)
-        except StoreError as error:
-            raise StoreError(
-                f"{target}: expected a free name for the store, found a folder that is no "
-                "nimprep store; choose another name"
-            ) from error
-        if found.get("complete") is True and not overwrite:
-            raise StoreError(
-                f"{target}: expected a free name for the store, found a complete store; "
-                "use --overwrite to replace it"
-            )
-        remove_store(target)
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        (target / ".write-test").touch()
-        (target / ".write-test").unlink()
+        taken = target.is_symlink() or (target.exists() and not target.is_dir())
+        filled = not taken and target.is_dir() and any(target.iterdir())
     except OSError as error:
         raise StoreError(f"{target}: expected a writable place, found {error.strerror}") from error
-
-
-def remove_store(target: Path) -> None:
-    """Remove a store; its root goes first, so that what is left is at no time readable."""
+    if taken:
+        raise StoreError(f"{target}: expected a free name for the store, found a file or link")
+    if not filled:
+        return
     try:
-        (target / ROOT).unlink(missing_ok=True)
-        for entry in target.iterdir():
-            if entry.is_dir() and not entry.is_symlink():
-                shutil.rmtree(entry)
-            else:
-                entry.unlink()
+        found = read_attributes(target, complete=False)
+    except StoreError as error:
+        raise StoreError(
+            f"{target}: expected a free name for the store, found a folder that is no "
+            "nimprep store; choose another name"
+        ) from error
+    if found.get("complete") is True and not overwrite:
+        raise StoreError(
+            f"{target}: expected a free name for the store, found a complete store; "
+            "use --overwrite to replace it"
+        )
+
+
+def make_partial(target: Path) -> Path:
+    """Make the hidden folder beside `target` in which this process writes its store.
+
+    Folders that killed conversions left behind are removed.
+
+    Raises
+    ------
+    StoreError
+        The place cannot be written.
+    """
+    target = target.absolute()
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        for old in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
+            process = old.name.split(".")[-2]
+            if process.isdigit() and not _runs(int(process)):
+                shutil.rmtree(old)
+        partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+        partial.mkdir()
     except OSError as error:
-        raise StoreError(f"{target}: expected to remove it, found {error.strerror}") from error
+        raise StoreError(f"{target}: expected a writable place, found {error.strerror}") from error
+    return partial
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def move_into_place(partial: Path, target: Path, *, overwrite: bool) -> None:
+    """Give a finished store its name; what it replaces goes only now, its root first.
+
+    Raises
+    ------
+    StoreError
+        Something has come there since that must stay, or it cannot be moved.
+    """
+    check_target(target, overwrite=overwrite)
+    try:
+        if target.is_dir():
+            (target / ROOT).unlink(missing_ok=True)
+            old = partial.with_suffix(".old")
+            target.replace(old)
+            shutil.rmtree(old)
+        partial.replace(target.absolute())
+    except OSError as error:
+        raise StoreError(f"{target}: expected to write it, found {error.strerror}") from error
 
 
 class StoreWriter:
@@ -125,7 +167,7 @@ class StoreWriter:
     Parameters
     ----------
     target : Path
-        An empty folder (see `prepare_target`).
+        An empty folder (see `make_partial`).
     layout : StoreLayout
     attributes : dict
         The `nimprep` object as far as it is known; `finish` completes it.

@@ -235,7 +235,7 @@ def test_a_link_to_the_source_is_the_source(gmrp: Path, tmp_path: Path) -> None:
 
 def test_a_target_that_cannot_be_written_is_refused_by_name(gmrp: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="expected a writable place, found Not a directory"):
+    with pytest.raises(StoreError, match=r"expected a writable place, found (Not a directory|File exists)"):
         nimprep.convert(gmrp, tmp_path / "file" / "s.zarr")
 
 
@@ -269,7 +269,7 @@ def test_a_disk_that_runs_full_is_one_line_and_nothing_is_left(gmrp: Path, tmp_p
     assert not target.exists()
 
 
-def test_a_killed_conversion_is_not_readable_and_the_next_one_replaces_it(tmp_path: Path) -> None:
+def test_a_killed_conversion_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     gmrp = write_gmrp(tmp_path / "gmrp", frames=40, size=(120, 160))
     whole, target = tmp_path / "whole.zarr", tmp_path / "s.zarr"
     nimprep.convert(gmrp, whole, shard_length=2)
@@ -278,15 +278,48 @@ def test_a_killed_conversion_is_not_readable_and_the_next_one_replaces_it(tmp_pa
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
+    partial = tmp_path / f".s.zarr.{process.pid}.partial"
     deadline = time.monotonic() + 60
-    while not (target / "rgb").exists() and time.monotonic() < deadline:
+    while not (partial / "rgb").exists() and time.monotonic() < deadline:
         time.sleep(0.001)
     process.kill()
     process.wait()
-    assert not read_attributes(target, complete=False)["complete"]
+    assert not target.exists()
+    assert not read_attributes(partial, complete=False)["complete"]
     with pytest.raises(StoreError, match="cut short"):
-        nimprep.open_store(target)
+        nimprep.open_store(partial)
     # No array has its metadata yet, so that no other library takes it for whole either.
-    assert list(target.glob("*/zarr.json")) == []
+    assert list(partial.glob("*/zarr.json")) == []
     nimprep.convert(gmrp, target, shard_length=2)
     assert contents(target) == contents(whole)
+    assert not partial.exists()
+
+
+def test_of_two_conversions_into_one_target_one_is_kept_whole(tmp_path: Path) -> None:
+    gmrp = write_gmrp(tmp_path / "gmrp", frames=30, size=(120, 160))
+    target = tmp_path / "s.zarr"
+    both = [
+        subprocess.Popen(
+            [*COMMAND, str(gmrp), str(target)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
+        for _ in range(2)
+    ]
+    errors = [process.communicate()[1] for process in both]
+    assert sorted(process.returncode for process in both) == [0, 1], errors
+    assert validate_store(target, deep=True).problems == []
+    assert {path.name for path in tmp_path.iterdir()} == {"gmrp", "s.zarr"}
+
+
+def test_a_bad_source_leaves_the_store_it_was_to_replace(gmrp: Path, tmp_path: Path) -> None:
+    nimprep.convert(gmrp, tmp_path / "s.zarr")
+    before = contents(tmp_path / "s.zarr")
+    (gmrp / "rgb" / "000003.png").write_bytes(b"")
+    with pytest.raises(DecodeError):
+        nimprep.convert(gmrp, tmp_path / "s.zarr", overwrite=True)
+    assert contents(tmp_path / "s.zarr") == before
+    assert {path.name for path in tmp_path.iterdir()} == {"gmrp", "s.zarr"}
+
+
+def test_depth_that_no_store_can_say_is_refused(gmrp: Path, tmp_path: Path) -> None:
+    with pytest.raises(DecodeError, match="check --depth-scale"):
+        nimprep.convert(gmrp, tmp_path / "s.zarr", depth_scale=500.0)

@@ -1,3 +1,6 @@
+import os
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -204,3 +207,50 @@ def test_every_error_is_a_nimprep_error() -> None:
     assert issubclass(LayoutError, NimprepError)
     assert issubclass(LayoutError, FileNotFoundError)
     assert issubclass(DecodeError, ValueError)
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4])
+def test_a_label_of_few_bits_keeps_its_values(gmrp: Path, bits: int) -> None:
+    values = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE) % min(3, 1 << bits)
+    (gmrp / "label" / "000001.png").write_bytes(grey_png(values, bits))
+    label = open_reader(gmrp).read("000001").label
+    assert np.array_equal(label, values)
+
+
+def grey_png(values: np.ndarray, bits: int) -> bytes:
+    """Pack a grey PNG of less than 8 bits, which OpenCV does not write."""
+    digits = ((values[..., None] >> np.arange(bits)[::-1]) & 1).reshape(len(values), -1)
+    rows = b"".join(b"\0" + np.packbits(row).tobytes() for row in digits)
+    header = struct.pack(">IIBBBBB", values.shape[1], len(values), bits, 0, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
+
+
+def test_names_in_capitals_and_linked_folders_are_read_too(tmp_path: Path) -> None:
+    root = write_gmrp(tmp_path / "gmrp", frames=2)
+    for folder in ("rgb", "depth_u16", "label"):
+        (root / folder / "000001.png").rename(root / folder / "000001.PNG")
+        (tmp_path / "more" / folder).mkdir(parents=True)
+        (root / folder / "000000.png").rename(tmp_path / "more" / folder / "7.png")
+        (root / folder / "linked").symlink_to(tmp_path / "more" / folder)
+        (root / folder / "linked" / "again").symlink_to(root / folder / "linked")
+    reader = open_reader(root)
+    assert reader.ids == ("000001", "linked/7")
+    assert reader.read("linked/7").rgb is not None
+
+
+def test_a_pipe_is_no_image(gmrp: Path) -> None:
+    os.mkfifo(gmrp / "rgb" / "pipe.png")
+    assert len(open_reader(gmrp).ids) == 5
+
+
+def test_a_name_that_cannot_be_written_down_is_refused(gmrp: Path) -> None:
+    for folder in ("rgb", "depth_u16", "label"):
+        path = os.fsencode(gmrp / folder) + b"/\xff.png"
+        with open(path, "wb") as file:  # noqa: PTH123
+            file.write((gmrp / folder / "000000.png").read_bytes())
+    with pytest.raises(LayoutError, match="printable"):
+        open_reader(gmrp)

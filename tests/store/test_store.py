@@ -187,8 +187,8 @@ def test_depth_percentiles_are_those_of_all_valid_pixels(made: Path) -> None:
         ({"complete": False}, "cut short"),
         ({"format_version": "2.0"}, "a newer nimprep"),
         ({"format_version": None}, "a newer nimprep"),
-        ({"classes": 3}, "wrong or missing"),
-        ({"modalities": ["rgb"]}, "wrong or missing"),
+        ({"classes": 3}, "schema 'store'"),
+        ({"modalities": ["rgb"]}, "schema 'store'"),
     ],
 )
 def test_a_store_that_is_not_whole_or_not_ours_is_refused(

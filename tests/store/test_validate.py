@@ -87,7 +87,11 @@ def edit_json(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[
 
 
 def remove(name: str) -> Callable[[Path], None]:
-    return lambda store: shutil.rmtree(store / name)
+    def apply(store: Path) -> None:
+        path = store / name
+        path.unlink() if path.is_file() else shutil.rmtree(path)
+
+    return apply
 
 
 SHALLOW = {
@@ -95,6 +99,43 @@ SHALLOW = {
     "a missing array": (remove("normal"), "normal"),
     "a missing table": (remove("intrinsics"), "intrinsics"),
     "a table without its chunk": (remove("split/c"), "split"),
+    "a table whose only chunk is gone": (remove("split/c/0"), "split"),
+    "a table in many chunks": (
+        edit_json("split", lambda d: d["chunk_grid"]["configuration"].update(chunk_shape=[2])),
+        "one chunk",
+    ),
+    "a table without dimensions": (edit_json("split", lambda d: d.pop("dimension_names")), "split"),
+    "another byte order": (
+        edit_json(
+            "depth",
+            lambda d: d["codecs"][0]["configuration"]["codecs"][0].update(
+                configuration={"endian": "big"}
+            ),
+        ),
+        "byte order",
+    ),
+    "consolidated metadata that says otherwise": (
+        edit_json(
+            "",
+            lambda d: d["consolidated_metadata"]["metadata"]["depth"]["attributes"].update(
+                scale_factor=0.1
+            ),
+        ),
+        "'depth' as in its own file",
+    ),
+    "an array nobody speaks of": (
+        lambda store: shutil.copytree(store / "depth", store / "extra"),
+        "extra",
+    ),
+    "an unknown way of filling": (
+        edit_json(
+            "",
+            lambda d: d["attributes"]["nimprep"]["modalities"]["normal"]["parameters"].update(
+                fill="x"
+            ),
+        ),
+        "fill",
+    ),
     "a damaged index": (flip_byte("depth", -10), "wrong checksum"),
     "a damaged table": (flip_byte("split", 3), "split"),
     "a split that does not exist": (edit("split", setter(0, 7)), "split"),

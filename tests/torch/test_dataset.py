@@ -278,7 +278,7 @@ def numbers(loader: DataLoader) -> dict[str, float]:
 @pytest.mark.parametrize(
     "options",
     [
-        {"num_workers": 1, "multiprocessing_context": "fork"},
+        {"num_workers": 1, "multiprocessing_context": "fork", "persistent_workers": True},
         {"num_workers": 2, "multiprocessing_context": "fork", "collate_fn": collate},
         {"num_workers": 2, "multiprocessing_context": "spawn", "persistent_workers": True},
     ],
