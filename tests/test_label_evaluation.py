@@ -13,7 +13,9 @@ from click.testing import CliRunner
 import nimprep
 from nimprep.cli import main
 from nimprep.errors import DecodeError, LayoutError, StoreError
-from nimprep.evaluation import evaluate_predictions
+from nimprep.evaluation import Evaluation, evaluate_predictions
+from nimprep.frame import LabelClass
+from nimprep.metrics import confusion_matrix
 from nimprep.schema import schema_problems
 from tests.fakes import SIZE, write_gmrp, write_nyu_like, write_png
 
@@ -73,6 +75,16 @@ def test_a_class_never_predicted_counts_as_zero_precision_in_the_mean(gmrp, tmp_
     found = evaluate_predictions(gmrp, folder)
     assert found.to_dict()["classes"][2]["precision"] is None
     assert found.mean["precision"] == pytest.approx(368 / 384 / 2)
+
+
+def test_a_class_that_nobody_has_is_left_out_of_the_mean(gmrp):
+    counts = np.zeros((3, 3), np.int64)
+    counts[0, 0] = 5
+    nothing = Evaluation(gmrp.classes, None, {"a": counts}).to_dict()
+    assert nothing["mean"] == dict.fromkeys(("f_score", "iou", "precision", "recall"))
+    assert not schema_problems(nothing, "evaluation")
+    counts[1, 1] = 7
+    assert set(Evaluation(gmrp.classes, None, {"a": counts}).mean.values()) == {1.0}
 
 
 def test_scores_choose_the_highest_and_score_like_their_labels(gmrp, tmp_path):
@@ -198,10 +210,6 @@ def test_the_command_knows_a_bad_call_from_bad_data(gmrp, tmp_path):
 
 
 def test_random_labels_score_as_their_definitions_say():
-    from nimprep.evaluation import Evaluation
-    from nimprep.frame import LabelClass
-    from nimprep.metrics import confusion_matrix
-
     rng = np.random.default_rng(3)
     label, guess = rng.integers(0, 4, (2, 5000))
     classes = tuple(LabelClass(i, str(i), (0, 0, 0)) for i in range(4))

@@ -17,7 +17,7 @@ import numpy.typing as npt
 _GRAIN = 1 << 18
 """Blocks are multiples of this many bytes, so that images of nearly one size share them."""
 
-_KEPT = 4
+_KEPT = 8
 """Free blocks kept per size."""
 
 _free: defaultdict[int, deque[npt.NDArray[np.uint8]]] = defaultdict(lambda: deque(maxlen=_KEPT))

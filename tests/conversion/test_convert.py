@@ -235,7 +235,7 @@ def test_a_link_to_the_source_is_the_source(gmrp: Path, tmp_path: Path) -> None:
 
 def test_a_target_that_cannot_be_written_is_refused_by_name(gmrp: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match=r"expected a writable place, found (Not a directory|File exists)"):
+    with pytest.raises(StoreError, match="expected a writable place"):
         nimprep.convert(gmrp, tmp_path / "file" / "s.zarr")
 
 
