@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -110,12 +111,7 @@ def describe(reader: Reader, layout: StoreLayout, options: ConvertOptions) -> di
         "classes": [{"id": c.id, "name": c.name, "color": list(c.color)} for c in layout.classes],
         "modalities": modalities,
         "calibration": {"origin": reader.info.calibration},
-        "crop": {
-            "top": margins.top,
-            "bottom": margins.bottom,
-            "left": margins.left,
-            "right": margins.right,
-        },
+        "crop": asdict(margins),
         "codec": layout.codec,
         "split": {"rule": "file"} if options.split_file else rule,
         **({"fixed_splits": fixed} if fixed else {}),

@@ -71,12 +71,6 @@ def _confidence_from_probability(path: Path) -> npt.NDArray[np.uint8]:
     return np.rint(array.astype(np.float64) * 255).astype(np.uint8)
 
 
-def confidence_shape(path: Path) -> tuple[int, int]:
-    """Return (height, width) of a confidence map from its header alone."""
-    header = read_header(path)
-    return header.height, header.width
-
-
 def read_ground_truth(path: Path) -> GroundTruth:
     """Read a ground truth: blue > 0 = road (or lane), red > 0 = inside the evaluated area.
 
