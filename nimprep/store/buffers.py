@@ -8,6 +8,7 @@ waits for the next array of its size.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict, deque
 from typing import Any
 
@@ -40,7 +41,7 @@ class _Lease:
 def empty(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Return an uninitialised C-contiguous array, as `numpy.empty` does."""
     dtype = np.dtype(dtype)
-    count = int(np.prod(shape))
+    count = math.prod(shape)
     if count * dtype.itemsize < _GRAIN:
         return np.empty(shape, dtype=dtype)
     size = -(-count * dtype.itemsize // _GRAIN) * _GRAIN

@@ -46,7 +46,7 @@ class ImageArray:
         self.shape: tuple[int, ...] = tuple(document["shape"])
         self.dtype = np.dtype(document["data_type"])
         self.shard_length: int = document["chunk_grid"]["configuration"]["chunk_shape"][0]
-        self._indices: dict[int, npt.NDArray[np.uint64]] = {}
+        self._shards: dict[int, tuple[Path, npt.NDArray[np.uint64]]] = {}
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -58,10 +58,10 @@ class ImageArray:
     def fetch(self, frame: int) -> npt.NDArray[np.uint8] | None:
         """Return a frame's checked, still compressed chunk; None where it is all fill value."""
         shard, position = divmod(frame, self.shard_length)
-        path = self.shard_path(shard)
-        if shard not in self._indices:
-            self._indices[shard] = read_index(path, self.shard_length)
-        return read_chunk(path, self._indices[shard], position)
+        if shard not in self._shards:
+            path = self.shard_path(shard)
+            self._shards[shard] = path, read_index(path, self.shard_length)
+        return read_chunk(*self._shards[shard], position)
 
     def decode(
         self, packed: npt.NDArray[np.uint8] | None, out: npt.NDArray[Any], frame: int
