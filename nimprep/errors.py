@@ -6,7 +6,15 @@ line prints it and exits 1; anything that is not a `NimprepError` is a bug and k
 
 
 class NimprepError(Exception):
-    """Base of every error that is the data's fault or the environment's, not the program's."""
+    """Base of every error that is the data's fault or the environment's, not the program's.
+
+    Attributes
+    ----------
+    frame_id : str, optional
+        The frame that ended a conversion, where one did.
+    """
+
+    frame_id: str | None = None
 
 
 class LayoutError(NimprepError, FileNotFoundError):

@@ -85,3 +85,8 @@ def write_nyu_like(root: Path, **changes: object) -> tuple[Path, Path]:
     description = root.parent / f"{root.name}.json"
     description.write_text(json.dumps({**NYU_LIKE, **changes}))
     return root, description
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return every file below a folder."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}

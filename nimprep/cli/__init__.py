@@ -48,7 +48,11 @@ class _LazyGroup(click.Group):
                 warnings.showwarning = _show_warning
                 return super().invoke(ctx)
         except NimprepError as error:
-            fail(str(error))
+            fail("; ".join((str(error), *getattr(error, "__notes__", ()))))
+        except KeyboardInterrupt as error:
+            notes = getattr(error, "__notes__", ())
+            click.echo("; ".join(("interrupted", *notes)), err=True)
+            sys.exit(130)
 
 
 def _show_warning(message: Warning | str, *rest: Any, **named: Any) -> None:

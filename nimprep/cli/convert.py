@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
+from nimprep.cli.options import parse_numbers, progress_bars, quiet_option, report_skipped
 from nimprep.frame import MODALITIES
 
 
@@ -117,11 +117,29 @@ def _modalities(
 )
 @click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
 @click.option("--overwrite", is_flag=True, help="Replace a complete store.")
+@click.option(
+    "--restart", is_flag=True, help="Begin anew where an earlier conversion was cut short."
+)
+@click.option(
+    "--on-error",
+    type=click.Choice(["stop", "skip"]),
+    default="stop",
+    show_default=True,
+    help="What a bad frame does: end it all, or be left out.",
+)
+@click.option(
+    "--allow-skipped",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Frames that may be left out before the exit code is 1.",
+)
 @quiet_option
-def convert(src: Path, out: Path, quiet: bool, **given: Any) -> None:
+def convert(src: Path, out: Path, quiet: bool, allow_skipped: int, **given: Any) -> None:
     """Turn the raw dataset SRC into the store OUT.
 
-    SRC is never written to. OUT is complete or not there. What the store holds is printed at the
+    SRC is never written to. OUT is complete or not there; a conversion that was cut short goes on
+    where it stopped when the same command is given again. What the store holds is printed at the
     end: look at the depth's percentiles to see that the unit is right.
     """
     if given["camera"] and given["intrinsics"]:
@@ -135,5 +153,6 @@ def convert(src: Path, out: Path, quiet: bool, **given: Any) -> None:
 
     camera, intrinsics = given.pop("camera"), given.pop("intrinsics")
     options = nimprep.ConvertOptions(camera=camera or intrinsics, **given)
-    nimprep.convert(src, out, options, progress=progress_bars(quiet))
+    store = nimprep.convert(src, out, options, progress=progress_bars(quiet))
     click.echo(info_text(store_info(out)))
+    report_skipped(out, store.attributes.get("skipped", []), allow_skipped)

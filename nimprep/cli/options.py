@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import click
@@ -49,6 +49,19 @@ def progress_bars(quiet: bool) -> Progress:
         return done
 
     return start
+
+
+def report_skipped(store: object, skipped: Sequence[Mapping[str, str]], allowed: int) -> None:
+    """Name the frames that were left out on stderr; exit 1 where they are more than allowed."""
+    for frame in skipped:
+        click.echo(f"skipped {frame['id']}: {frame['reason']}", err=True)
+    if len(skipped) > allowed:
+        click.echo(
+            f"error: {store}: expected at most {allowed} bad frames, found {len(skipped)}; the "
+            f"store is complete without them, --allow-skipped {len(skipped)} says that is fine",
+            err=True,
+        )
+        sys.exit(1)
 
 
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="No progress bar.")

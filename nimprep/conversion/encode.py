@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.camera import Camera
+from nimprep.conversion.records import DEPTHS, FrameFacts
+from nimprep.conversion.sources import FileState, changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import DERIVED, Recipe, derive, fill_frame
 from nimprep.errors import ArrayError, DecodeError
 from nimprep.frame import Frame
@@ -30,47 +30,15 @@ class EncodedFrame:
 
     Attributes
     ----------
+    facts : FrameFacts
     chunks : dict of modality to bytes
-    camera : Camera
-    group : str
-    baseline_m : float
-    cam_to_road : (3, 4) float64
-        NaN where there is none.
-    gravity : (3,) float64
-        Direction HHA was made with; NaN without HHA.
-    channel_sums : (7, 3) int64
-        See `nimprep.store.statistics.channel_sums`.
     depth_counts : (65536,) int64
         Pixels per depth in millimetres.
-    digest : str
-        SHA-256 of the frame's source files.
     """
 
+    facts: FrameFacts
     chunks: dict[str, bytes]
-    camera: Camera
-    group: str
-    baseline_m: float
-    cam_to_road: npt.NDArray[np.float64]
-    gravity: npt.NDArray[np.float64]
-    channel_sums: npt.NDArray[np.int64]
     depth_counts: npt.NDArray[np.int64]
-    digest: str
-
-
-def source_digest(reader: Reader, frame_id: str) -> str:
-    """Return the SHA-256 of a frame's source files, names and contents."""
-    digest = hashlib.sha256()
-    for path in reader.sources(frame_id):
-        name = path.relative_to(reader.root) if path.is_relative_to(reader.root) else path.name
-        digest.update(f"{name}\0".encode())
-        try:
-            with path.open("rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
-        except OSError as error:
-            raise DecodeError(
-                f"{path}: expected a readable file, found {error.strerror}"
-            ) from error
-    return digest.hexdigest()
 
 
 def _padded(image: npt.NDArray[Any], shape: tuple[int, ...], fill: int) -> npt.NDArray[Any]:
@@ -87,15 +55,25 @@ def _padded(image: npt.NDArray[Any], shape: tuple[int, ...], fill: int) -> npt.N
 
 
 def encode_frame(
-    reader: Reader, frame_id: str, layout: StoreLayout, recipe: Recipe
+    reader: Reader,
+    frame_id: str,
+    layout: StoreLayout,
+    recipe: Recipe,
+    state: tuple[FileState, ...] | None = None,
 ) -> EncodedFrame:
     """Read one frame and make everything a store holds of it, on the calling thread alone.
+
+    Parameters
+    ----------
+    state : tuple of FileState, optional
+        What `frame_state` said of the frame's files when the conversion began.
 
     Raises
     ------
     DecodeError
-        A file is damaged or holds what cannot be; it is named.
+        A file is damaged, holds what cannot be, or changed meanwhile; it is named.
     """
+    state = frame_state(reader, frame_id) if state is None else state
     wanted = set(layout.modalities)
     if wanted & set(DERIVED):
         wanted.add("depth")
@@ -107,19 +85,35 @@ def encode_frame(
         chunks = _chunks(frame, stored, layout)
     except ArrayError as error:
         raise DecodeError(f"frame {frame_id!r}: {error}") from error
-    counts = np.zeros(65536, dtype=np.int64)
+    digest = frame_digest(reader, frame_id)
+    # Asked last: then what was decoded and what was hashed are one and the same.
+    changed = changed_files(state, frame_state(reader, frame_id))
+    if changed:
+        raise DecodeError(
+            f"{reader.root / changed[0]}: expected a file that stays as it is, found it changed "
+            "during the conversion"
+        )
+    counts = np.zeros(DEPTHS, dtype=np.int64)
     if "depth" in stored:
-        counts = np.bincount(stored["depth"].reshape(-1), minlength=65536)
-    return EncodedFrame(
-        chunks=chunks,
-        camera=frame.camera,
+        counts = np.bincount(stored["depth"].reshape(-1), minlength=DEPTHS)
+    sums = channel_sums({n: i for n, i in stored.items() if n in layout.modalities})
+    return EncodedFrame(_facts(frame, gravity, sums, digest), chunks, counts)
+
+
+def _facts(
+    frame: Frame, gravity: npt.NDArray[np.float64], sums: npt.NDArray[np.int64], digest: str
+) -> FrameFacts:
+    transform = np.full((3, 4), np.nan) if frame.cam_to_road is None else frame.cam_to_road
+    return FrameFacts(
+        id=frame.id,
         group=frame.group,
-        baseline_m=frame.baseline_m,
-        cam_to_road=np.full((3, 4), np.nan) if frame.cam_to_road is None else frame.cam_to_road,
-        gravity=gravity,
-        channel_sums=channel_sums({n: i for n, i in stored.items() if n in layout.modalities}),
-        depth_counts=counts,
-        digest=source_digest(reader, frame_id),
+        image_size=list(frame.camera.shape),
+        intrinsics=frame.camera.matrix.tolist(),
+        baseline_m=float(frame.baseline_m),
+        cam_to_road=np.asarray(transform, dtype=np.float64).tolist(),
+        gravity=gravity.tolist(),
+        channel_sums=sums.tolist(),
+        digest=digest,
     )
 
 

@@ -64,6 +64,10 @@ class ConvertOptions:
         Threads; None = the cores this process may use. The bytes do not depend on it.
     overwrite : bool
         Replace a complete store.
+    restart : bool
+        Begin anew where an earlier conversion into the target was cut short; else go on there.
+    on_error : {"stop", "skip"}
+        What a bad frame does: end the conversion, or be left out and listed in the metadata.
     """
 
     reader: str = "auto"
@@ -88,6 +92,8 @@ class ConvertOptions:
     shard_length: int = SHARD_LENGTH
     workers: int | None = None
     overwrite: bool = False
+    restart: bool = False
+    on_error: Literal["stop", "skip"] = "stop"
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
@@ -95,6 +101,7 @@ class ConvertOptions:
             ("normal_dtype", self.normal_dtype, tuple(NORMAL_SCALES)),
             ("target", self.target, ("road", "lane")),
             ("depth_from", self.depth_from, ("auto", "lidar", "stereo")),
+            ("on_error", self.on_error, ("stop", "skip")),
             ("split_by", self.split_by, (None, *SPLIT_RULES)),
         ):
             if value not in allowed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from nimprep.derive.modalities import DERIVED
 from nimprep.errors import LayoutError, StoreError
 from nimprep.frame import MODALITIES
 from nimprep.readers import Reader
-from nimprep.readers.crop import CroppedReader, Margins
+from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.splits import SplitName, assign_splits, splits_from_file
 from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.writer import StoreLayout
@@ -44,7 +45,7 @@ def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
             raise LayoutError(
                 f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}"
             )
-    shapes = {reader.shape(frame_id) for frame_id in reader.ids}
+    shapes = frame_shapes(reader, skip_bad=options.on_error == "skip")
     return StoreLayout(
         frames=len(reader.ids),
         height=max(height for height, _ in shapes),
@@ -57,35 +58,34 @@ def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
     )
 
 
-def fixed_splits(reader: Reader) -> dict[str, SplitName]:
+def fixed_splits(reader: Reader, ids: Sequence[str]) -> dict[str, SplitName]:
     """Return the frames whose split the dataset's authors chose."""
-    return {i: split for i in reader.ids if (split := reader.fixed_split(i)) is not None}
+    return {i: split for i in ids if (split := reader.fixed_split(i)) is not None}
 
 
 def split_rule(reader: Reader, options: ConvertOptions) -> str:
     """Return the rule to split by where no file does."""
-    return options.split_by or ("stratified" if fixed_splits(reader) else "frame")
+    return options.split_by or ("stratified" if fixed_splits(reader, reader.ids) else "frame")
 
 
-def plan_splits(reader: Reader, options: ConvertOptions) -> list[str]:
-    """Return each frame's split, in the reader's order."""
+def plan_splits(reader: Reader, options: ConvertOptions, ids: Sequence[str]) -> list[str]:
+    """Return the split of each of these frames of the reader's."""
     if options.split_file is not None:
         splits = splits_from_file(options.split_file, reader.ids)
-        return [splits[i] for i in reader.ids]
-    fixed = fixed_splits(reader)
+        return [splits[i] for i in ids]
+    groups = {i: reader.group(i) for i in ids}
     rule = split_rule(reader, options)
-    groups = {i: reader.group(i) for i in reader.ids}
-    assigned = assign_splits(groups, rule, options.seed, fixed)
-    return [assigned[i] for i in reader.ids]
+    assigned = assign_splits(groups, rule, options.seed, fixed_splits(reader, ids))
+    return [assigned[i] for i in ids]
 
 
-def frame_metadata(reader: Reader) -> dict[str, Any]:
-    """Return what the dataset says of its frames beside images: distinct values, and whose.
+def frame_metadata(reader: Reader, ids: Sequence[str]) -> dict[str, Any]:
+    """Return what the dataset says of frames beside images: distinct values, and whose.
 
     KITTI's calibrations are few and its frames many, hence each value once and an index per frame.
     """
     columns: dict[str, dict[str, Any]] = {}
-    for frame_id in reader.ids:
+    for frame_id in ids:
         for name, value in reader.metadata(frame_id).items():
             column = columns.setdefault(name, {"values": [], "of_frame": []})
             if value not in column["values"]:
@@ -94,11 +94,19 @@ def frame_metadata(reader: Reader) -> dict[str, Any]:
     return columns
 
 
-def describe(reader: Reader, layout: StoreLayout, options: ConvertOptions) -> dict[str, Any]:
-    """Return the `nimprep` object of the store's root, as far as it is known beforehand."""
+def describe(
+    reader: Reader, layout: StoreLayout, options: ConvertOptions, ids: Sequence[str]
+) -> dict[str, Any]:
+    """Return the `nimprep` object of the store's root, as far as it is known beforehand.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        The frames that are stored, in order.
+    """
     rule = {"rule": split_rule(reader, options), "seed": options.seed}
     fixed: dict[str, list[str]] = {}
-    for frame_id, split in fixed_splits(reader).items():
+    for frame_id, split in fixed_splits(reader, ids).items():
         fixed.setdefault(split, []).append(frame_id)
     modalities: dict[str, Any] = {m: options.recipe.describe(m) for m in layout.modalities}
     if "normal" in modalities:
@@ -115,5 +123,5 @@ def describe(reader: Reader, layout: StoreLayout, options: ConvertOptions) -> di
         "codec": layout.codec,
         "split": {"rule": "file"} if options.split_file else rule,
         **({"fixed_splits": fixed} if fixed else {}),
-        **({"frame_metadata": metadata} if (metadata := frame_metadata(reader)) else {}),
+        **({"frame_metadata": metadata} if (metadata := frame_metadata(reader, ids)) else {}),
     }

@@ -1,30 +1,31 @@
-"""The run as a whole: read, encode and write every frame; all of it or nothing."""
+"""The run as a whole: plan, encode unit by unit, finish; cut short, it goes on where it stopped."""
 
 from __future__ import annotations
 
-import hashlib
-import shutil
 import warnings
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from nimprep.conversion.encode import EncodedFrame, encode_frame
+from nimprep.conversion.job import Job
+from nimprep.conversion.journal import Journal
+from nimprep.conversion.local import encode_units
 from nimprep.conversion.options import ConvertOptions
+from nimprep.conversion.packing import forget_packing, is_packed, pack_shards
 from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_splits
-from nimprep.derive.modalities import Recipe
+from nimprep.conversion.records import UnitRecord, depth_percentiles, source_digest, tables
+from nimprep.conversion.sources import FileState, frame_state
+from nimprep.conversion.workspace import Workspace, open_workspace
 from nimprep.derive.threads import available_cores
+from nimprep.errors import DecodeError, NimprepError
 from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
-from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store, open_store
-from nimprep.store.writer import StoreWriter, check_target, make_partial, move_into_place
+from nimprep.store.writer import StoreWriter
 
 Progress = Callable[[str, int], Callable[[], None]]
 """Called with a step's name and its number of frames; returns what to call after each frame."""
@@ -39,6 +40,9 @@ def convert(
     **changes: Any,
 ) -> Store:
     """Convert a raw dataset into a store.
+
+    Cut short, by a fault or by a kill, it leaves what was done in a hidden folder beside the
+    target; the same call then goes on from there and ends with the same bytes.
 
     Parameters
     ----------
@@ -56,7 +60,7 @@ def convert(
     Returns
     -------
     Store
-        The new store, open.
+        The new store, open. Frames that were left out are in its attributes' `skipped`.
 
     Raises
     ------
@@ -65,141 +69,173 @@ def convert(
     SplitError
         The split rule or file does not fit the frames.
     StoreError
-        The target cannot be written, or must not be.
+        The target cannot be written, must not be, or holds the beginning of another conversion.
     """
     options = replace(options or ConvertOptions(), **changes)
     source, target = Path(source), Path(target)
     check_apart(source, target)
-    workers = options.workers or available_cores()
     start = progress or (lambda step, frames: lambda: None)
     reader = open_reader(source, options.reader, options.reading)
-    if options.crop == "auto":
-        done = start("looking for sides without depth", len(reader.ids))
-        reader = CroppedReader(reader, find_invalid_sides(reader, workers, done))
-    elif options.crop is not None:
-        reader = CroppedReader(reader, Margins(*options.crop))
-    layout = plan_layout(reader, options)
-    # Splits are made before anything is written: a wrong split file must not cost a conversion.
-    splits = plan_splits(reader, options)
-    check_target(target, overwrite=options.overwrite)
-    partial = make_partial(target)
-    try:
-        attributes = describe(reader, layout, options)
-        writer = StoreWriter(partial, layout, attributes)
-        done = start("converting", len(reader.ids))
-        collected = Collected(splits)
-        write_images(reader, writer, options.recipe, workers, collected, done)
-        writer.finish(collected.tables(), {**attributes, **collected.summary()})
-        move_into_place(partial, target, overwrite=options.overwrite)
-    finally:
-        # Gone by now where all went well.
-        shutil.rmtree(partial, ignore_errors=True)
+    with open_workspace(target, overwrite=options.overwrite) as workspace:
+        run = _Run(source, reader, options, workspace, Journal(workspace.journal, str(target)))
+        run.prepare(start)
+        run.encode(start)
+        run.finish()
+        workspace.publish()
     # Said last, beside the summary: at the start it would scroll away, and bad data gets one line.
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
     return open_store(target)
 
 
-class Collected:
-    """Gather, frame by frame, what a store says of its frames beside their images."""
+class _Run:
+    """One conversion, from its plan to the finished store in the workspace."""
 
-    def __init__(self, splits: Sequence[str]) -> None:
-        self._splits = splits
-        self._ids: list[str] = []
-        self._frames: list[EncodedFrame] = []
-        self._depth_counts = np.zeros(65536, dtype=np.int64)
+    def __init__(
+        self,
+        source: Path,
+        reader: Reader,
+        options: ConvertOptions,
+        workspace: Workspace,
+        journal: Journal,
+    ) -> None:
+        self._source = source
+        self._reader = reader
+        self._options = options
+        self._workspace = workspace
+        self._journal = journal
+        self._workers = options.workers or available_cores()
 
-    def add(self, frame_id: str, frame: EncodedFrame) -> None:
-        """Take in a frame; its chunks and its histogram are not kept."""
-        self._depth_counts += frame.depth_counts
-        self._ids.append(frame_id)
-        self._frames.append(replace(frame, chunks={}, depth_counts=self._depth_counts[:0]))
+    def prepare(self, start: Progress) -> None:
+        """Plan anew, or take up the plan of a conversion that was cut short."""
+        states = _states(self._reader, self._options)
+        plan = None if self._options.restart else self._journal.plan()
+        if plan is None:
+            self._workspace.clear()
+            margins = self._margins(start)
+        else:
+            self._journal.check(plan, self._options, states)
+            margins = self._journal.begun_margins(plan)
+        if margins is not None:
+            self._reader = CroppedReader(self._reader, margins)
+        layout = plan_layout(self._reader, self._options)
+        # Splits are made before anything is written: a wrong split file must not cost a conversion.
+        plan_splits(self._reader, self._options, self._reader.ids)
+        self._job = Job(self._source, self._options, margins, layout, states, self._workspace.store)
+        if plan is not None:
+            self._drop_lost()
+            self._drop_mended(plan)
+        self._journal.begin(self._options, margins, states)
+        StoreWriter(self._workspace.store, layout).begin(self._describe(self._reader.ids))
 
-    def tables(self) -> dict[str, npt.NDArray[Any]]:
-        """Return the per-frame arrays, by the names of `TABLES`."""
-        frames = self._frames
-        return {
-            "frame_id": np.array(self._ids, dtype="T"),
-            "split": np.array([SPLIT_CODES[s] for s in self._splits], dtype=np.uint8),
-            "group": np.array([f.group for f in frames], dtype="T"),
-            "image_size": np.array([f.camera.shape for f in frames], dtype=np.int32),
-            "intrinsics": np.array([f.camera.matrix for f in frames]),
-            "baseline": np.array([f.baseline_m for f in frames]),
-            "cam_to_road": np.array([f.cam_to_road for f in frames]),
-            "gravity": np.array([f.gravity for f in frames]),
-            "channel_sums": np.array([f.channel_sums for f in frames]),
-        }
+    def _margins(self, start: Progress) -> Margins | None:
+        crop = self._options.crop
+        if crop != "auto":
+            return None if crop is None else Margins(*crop)
+        done = start("looking for sides without depth", len(self._reader.ids))
+        skip = self._options.on_error == "skip"
+        return find_invalid_sides(self._reader, self._workers, done, skip_bad=skip)
 
-    def summary(self) -> dict[str, Any]:
-        """Return what the root's attributes say of all frames together."""
-        digest = hashlib.sha256()
-        for frame_id, frame in zip(self._ids, self._frames, strict=True):
-            digest.update(f"{frame_id}\0{frame.digest}\n".encode())
-        return {
-            "depth_percentiles_m": depth_percentiles(self._depth_counts),
-            "source": {"digest": f"sha256:{digest.hexdigest()}"},
-        }
+    def _drop_lost(self) -> None:
+        """Forget the units whose shards are not there, such as those of a store in its place."""
+        there = set(self._workspace.store.keys())
+        writer = StoreWriter(self._workspace.store, self._job.layout)
+        records = self._journal.records()
+        frames = sum(len(record.frames) for record in records.values())
+        shards = range(-(-frames // self._job.layout.shard_length))
+        for record in records.values():
+            numbers = shards if self._journal.packed else [record.number] if record.frames else []
+            keys = {writer.shard_key(m, n) for m in self._job.layout.modalities for n in numbers}
+            if keys - there:
+                self._drop(record)
 
+    def _drop(self, record: UnitRecord) -> None:
+        """Let a unit be done again; all of them once shards have moved up into the gaps."""
+        if self._journal.packed:
+            self._workspace.clear()
+        else:
+            self._journal.forget(record.number)
 
-def depth_percentiles(counts: npt.NDArray[np.int64]) -> dict[str, float] | None:
-    """Return the 5th, 50th and 95th percentile, metres, of a histogram over millimetres.
+    def _drop_mended(self, plan: dict[str, Any]) -> None:
+        """Forget the units with bad frames that were mended since, or may no longer be skipped."""
+        for record in self._journal.records().values():
+            bad = [frame.id for frame in record.skipped]
+            mended = any(plan["files"].get(i) != _listed(self._job.states[i]) for i in bad)
+            if mended or (bad and self._options.on_error == "stop"):
+                self._drop(record)
 
-    Each is the smallest depth that this share of the pixels with depth does not exceed.
-    """
-    below = np.cumsum(counts[1:])
-    if below[-1] == 0:
-        return None
-    ranks = {str(p): -(-p * int(below[-1]) // 100) for p in (5, 50, 95)}
-    return {p: (int(np.searchsorted(below, rank)) + 1) / 1000 for p, rank in ranks.items()}
+    def _describe(self, ids: Sequence[str]) -> dict[str, Any]:
+        return describe(self._reader, self._job.layout, self._options, ids)
 
-
-def _in_order(
-    pool: ThreadPoolExecutor,
-    function: Callable[[str], EncodedFrame],
-    ids: Sequence[str],
-    ahead: int,
-) -> Iterator[EncodedFrame]:
-    """Yield results in order with at most `ahead` in the works, so that memory stays bounded."""
-    waiting: deque[Future[EncodedFrame]] = deque()
-    rest = iter(ids)
-    try:
-        for frame_id in rest:
-            waiting.append(pool.submit(function, frame_id))
-            if len(waiting) >= ahead:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        for future in waiting:
-            future.cancel()
-
-
-def write_images(
-    reader: Reader,
-    writer: StoreWriter,
-    recipe: Recipe,
-    workers: int,
-    collected: Collected,
-    done: Callable[[], None],
-) -> None:
-    """Encode every frame and write the shards.
-
-    Threads share the work frame by frame: decoding, the kernels and compression release the GIL.
-    Held in memory: one shard's compressed chunks and two frames per worker.
-    """
-    layout = writer.layout
-    pending: dict[str, list[bytes]] = {m: [] for m in layout.modalities}
-
-    def encode(frame_id: str) -> EncodedFrame:
-        return encode_frame(reader, frame_id, layout, recipe)
-
-    with ThreadPoolExecutor(workers, thread_name_prefix="nimprep") as pool:
-        for number, frame in enumerate(_in_order(pool, encode, reader.ids, 2 * workers)):
-            for modality, chunk in frame.chunks.items():
-                pending[modality].append(chunk)
-            collected.add(reader.ids[number], frame)
-            if (number + 1) % layout.shard_length == 0 or number + 1 == layout.frames:
-                for modality, chunks in pending.items():
-                    writer.write_shard(modality, number // layout.shard_length, chunks)
-                    chunks.clear()
+    def encode(self, start: Progress) -> None:
+        """Encode and write the units that are not done yet."""
+        units = self._job.units()
+        records = self._journal.records()
+        todo = [number for number in range(len(units)) if number not in records]
+        total = len(self._reader.ids)
+        before = sum(len(units[number]) for number in records)
+        done = start("converting" if not before else "going on converting", total)
+        for _ in range(before):
             done()
+        try:
+            for record in encode_units(self._job, self._reader, todo, self._workers, done):
+                self._journal.record(record)
+        except (NimprepError, KeyboardInterrupt) as error:
+            if isinstance(error, NimprepError) and error.frame_id is not None:
+                self._journal.note_failure(error.frame_id)
+            self._say_how_to_go_on(error, total)
+            raise
+
+    def _say_how_to_go_on(self, error: BaseException, total: int) -> None:
+        kept = sum(len(r.frames) for r in self._journal.records().values())
+        if kept:
+            error.add_note(f"{kept} of {total} frames are kept: the same command goes on from them")
+
+    def finish(self) -> None:
+        """Close the gaps of skipped frames, write the tables, and complete the store."""
+        records = [record for _, record in sorted(self._journal.records().items())]
+        facts = list(chain.from_iterable(record.frames for record in records))
+        skipped = list(chain.from_iterable(record.skipped for record in records))
+        if not facts:
+            raise DecodeError(
+                f"{self._source}: expected at least one good frame, found {len(skipped)} bad ones, "
+                f"first {skipped[0].id!r}: {skipped[0].reason}"
+            )
+        self._pack(records)
+        ids = [frame.id for frame in facts]
+        counts = np.sum([record.depth_counts for record in records], axis=0)
+        attributes = {
+            **self._describe(ids),
+            **({"skipped": [asdict(frame) for frame in skipped]} if skipped else {}),
+            "depth_percentiles_m": depth_percentiles(counts),
+            "source": {"digest": source_digest(facts)},
+        }
+        layout = replace(self._job.layout, frames=len(facts))
+        splits = plan_splits(self._reader, self._options, ids)
+        StoreWriter(self._workspace.store, layout).finish(tables(facts, splits), attributes)
+
+    def _pack(self, records: Sequence[UnitRecord]) -> None:
+        lengths = [len(record.frames) for record in records]
+        if is_packed(lengths, self._job.layout.shard_length):
+            return
+        if not self._journal.packed:
+            pack_shards(self._workspace.store, self._job.layout, lengths)
+            self._journal.note_packed()
+        forget_packing(self._workspace.store)
+
+
+def _states(reader: Reader, options: ConvertOptions) -> dict[str, tuple[FileState, ...]]:
+    """Return the state of every frame's files; one that cannot be asked for has none."""
+    states: dict[str, tuple[FileState, ...]] = {}
+    for frame_id in reader.ids:
+        try:
+            states[frame_id] = frame_state(reader, frame_id)
+        except DecodeError:
+            if options.on_error != "skip":
+                raise
+            states[frame_id] = ()
+    return states
+
+
+def _listed(state: tuple[FileState, ...]) -> list[list[Any]]:
+    return [list(file) for file in state]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.errors import LayoutError
+from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import MODALITIES, Frame
 from nimprep.readers.base import DatasetInfo, Reader
 from nimprep.splits import SplitName
@@ -52,8 +52,6 @@ class CroppedReader:
     def __init__(self, reader: Reader, margins: Margins) -> None:
         self._reader = reader
         self.margins = margins
-        for shape in {reader.shape(frame_id) for frame_id in reader.ids}:
-            margins.window(*shape)
 
     @property
     def info(self) -> DatasetInfo:
@@ -106,7 +104,11 @@ class CroppedReader:
 
 
 def find_invalid_sides(
-    reader: Reader, workers: int, done: Callable[[], None] = lambda: None
+    reader: Reader,
+    workers: int,
+    done: Callable[[], None] = lambda: None,
+    *,
+    skip_bad: bool = False,
 ) -> Margins:
     """Return the sides that have depth in no frame of the dataset: whole rows and columns.
 
@@ -116,13 +118,15 @@ def find_invalid_sides(
     ----------
     done : callable
         Called after each frame, for a progress bar.
+    skip_bad : bool
+        Pass over frames that cannot be decoded.
 
     Raises
     ------
     LayoutError
         The frames differ in size, so that they have no sides in common.
     """
-    shapes = {reader.shape(frame_id) for frame_id in reader.ids}
+    shapes = frame_shapes(reader, skip_bad=skip_bad)
     if len(shapes) > 1:
         raise LayoutError(
             f"{reader.root}: expected frames of one size for --crop auto, found {len(shapes)} "
@@ -130,10 +134,16 @@ def find_invalid_sides(
         )
 
     def valid_sides(frame_id: str) -> tuple[Any, Any]:
-        depth_m = reader.read(frame_id, ("depth",)).depth_m
+        try:
+            depth_m = reader.read(frame_id, ("depth",)).depth_m
+        except DecodeError:
+            if not skip_bad:
+                raise
+            return False, False
+        finally:
+            done()
         if depth_m is None:
             raise LayoutError(f"{reader.root}: expected depth for --crop auto, found none")
-        done()
         return (depth_m > 0).any(axis=1), (depth_m > 0).any(axis=0)
 
     height, width = shapes.pop()
@@ -143,6 +153,33 @@ def find_invalid_sides(
             rows |= frame_rows
             columns |= frame_columns
     return Margins(*_ends(rows), *_ends(columns))
+
+
+def frame_shapes(reader: Reader, *, skip_bad: bool = False) -> set[tuple[int, int]]:
+    """Return the different (height, width) that frames have, by their headers.
+
+    Parameters
+    ----------
+    skip_bad : bool
+        Pass over frames whose header cannot be read.
+
+    Raises
+    ------
+    DecodeError
+        A header cannot be read; or none can.
+    """
+    shapes = set()
+    bad: DecodeError | None = None
+    for frame_id in reader.ids:
+        try:
+            shapes.add(reader.shape(frame_id))
+        except DecodeError as error:
+            if not skip_bad:
+                raise
+            bad = error
+    if not shapes and bad is not None:
+        raise bad
+    return shapes
 
 
 def _ends(valid: npt.NDArray[np.bool_]) -> tuple[int, int]:

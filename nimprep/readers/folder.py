@@ -90,6 +90,7 @@ class FolderReader:
     ) -> tuple[CameraSource | None, dict[str, Path]]:
         """Return one camera for all frames, or None and a file per frame."""
         described = self._description.camera
+        self._shared: tuple[Path, ...] = ()
         if given is not None:
             return given, {}
         if isinstance(described, dict):
@@ -97,6 +98,7 @@ class FolderReader:
         if described is None:
             return nominal_camera(), {}
         if "{id}" not in described:
+            self._shared = (self.root / described,)
             return camera_from_file(self.root / described), {}
         files = files_by_id(self.root, described)
         match_frames({"camera": files, "rgb": self._files["rgb"]}, self.root)
@@ -111,8 +113,8 @@ class FolderReader:
         return None
 
     def sources(self, frame_id: str) -> tuple[Path, ...]:
-        """Return the frame's image files and its camera file, where it has its own."""
-        own = (self._cameras[frame_id],) if self._cameras else ()
+        """Return the frame's image files and the camera file that holds for it, where one does."""
+        own = (self._cameras[frame_id],) if self._cameras else self._shared
         return (*(files[frame_id] for files in self._files.values()), *own)
 
     def metadata(self, frame_id: str) -> dict[str, Any]:

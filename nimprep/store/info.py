@@ -40,6 +40,7 @@ def store_info(path: Path | str) -> dict[str, Any]:
         "split": {**attributes["split"], "frames": count_splits(store.splits.values())},
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
         "depth_sources": _depth_sources(attributes),
+        "skipped": attributes.get("skipped", []),
         "source": attributes["source"],
     }
 
@@ -106,6 +107,8 @@ def info_text(info: dict[str, Any]) -> str:
         rows.append(("groups", f"{len(info['groups'])} scenes"))
     if info["classes"]:
         rows.append(("classes", ", ".join(f"{c['id']} {c['name']}" for c in info["classes"])))
+    if info["skipped"]:
+        rows.append(("skipped", f"{len(info['skipped'])} bad frames of the source"))
     lines = [f"{name:<9}{text}" for name, text in rows]
     lines.append("")
     lines.append(f"{'modality':<10}{'dtype':<8}{'made by':<14}{'MB':>9}{'of raw':>9}")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,24 +34,43 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def write_file(path: Path, parts: list[bytes]) -> None:
+def write_file(path: Path, parts: Sequence[bytes]) -> None:
     """Write a file beside its place and move it there, so that it is whole or absent.
+
+    It is on the disk when this returns: a power failure afterwards does not take it back.
 
     Raises
     ------
     StoreError
         The disk is full, or the folder cannot be written.
     """
-    partial = path.with_name(f".{path.name}.partial")
+    # Two machines may write the same file at once, when one was thought dead.
+    partial = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
-            file.writelines(parts)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        try:
+            with partial.open("wb") as file:
+                file.writelines(parts)
+                file.flush()
+                os.fsync(file.fileno())
+            partial.replace(path)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
     except OSError as error:
         raise StoreError(f"{path}: expected room to write, found {error.strerror}") from error
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the names in a folder last; systems that cannot open folders do so by themselves."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def read_attributes(store: Path, *, complete: bool = True) -> dict[str, Any]:

@@ -81,20 +81,50 @@ def read_index(path: Path, capacity: int) -> npt.NDArray[np.uint64]:
     try:
         with path.open("rb") as file:
             end = file.seek(0, 2)
-            if end < size:
-                raise StoreError(f"{path}: expected a shard of {size} bytes or more, found {end}")
-            file.seek(end - size)
+            file.seek(max(0, end - size))
             data = file.read(size)
     except OSError as error:
         raise StoreError(f"{path}: expected a shard, found {error.strerror}") from error
+    return parse_index(data, capacity, end, str(path))
+
+
+def parse_index(data: bytes, capacity: int, end: int, where: str) -> npt.NDArray[np.uint64]:
+    """Return the index that a shard of `end` bytes ends with, checked.
+
+    Raises
+    ------
+    StoreError
+        It is too short or damaged, or names bytes that are not there.
+    """
+    size = 16 * capacity + 4
+    if len(data) < size:
+        raise StoreError(f"{where}: expected a shard of {size} bytes or more, found {end}")
     if google_crc32c.value(data[:-4]) != int.from_bytes(data[-4:], "little"):
-        raise StoreError(f"{path}: expected an undamaged shard index, found a wrong checksum")
+        raise StoreError(f"{where}: expected an undamaged shard index, found a wrong checksum")
     index = np.frombuffer(data[:-4], dtype="<u8").reshape(capacity, 2)
     there = index[:, 0] != _MISSING
     # Compared as Python integers: an overflowing sum would look as if it fitted.
     if any(int(offset) + int(length) > end - size for offset, length in index[there]):
-        raise StoreError(f"{path}: expected chunks within {end} bytes, found one beyond the end")
+        raise StoreError(f"{where}: expected chunks within {end} bytes, found one beyond the end")
     return index
+
+
+def split_shard(data: bytes, capacity: int, where: str) -> list[bytes]:
+    """Return the chunks that a shard's bytes hold, in frame order, each with its checksum.
+
+    Raises
+    ------
+    StoreError
+        The index or a chunk is damaged.
+    """
+    index = parse_index(data[-(16 * capacity + 4) :], capacity, len(data), where)
+    chunks = []
+    for offset, length in index[index[:, 0] != _MISSING]:
+        chunk = data[int(offset) : int(offset) + int(length)]
+        if google_crc32c.value(chunk) != _CRC_RESIDUE:
+            raise StoreError(f"{where}: expected undamaged chunks, found a wrong checksum")
+        chunks.append(chunk)
+    return chunks
 
 
 def read_chunk(
@@ -137,7 +167,8 @@ def decode_chunk(packed: npt.NDArray[np.uint8] | bytes, out: npt.NDArray[Any], w
         It holds another number of bytes, or is no Blosc buffer.
     """
     # A Blosc header tells both lengths: checked first, so that nothing is overrun.
-    unpacked, _, length = _LENGTHS.unpack_from(packed, 4) if len(packed) >= 20 else (0, 0, 0)
+    header = bytes(packed[4:16])
+    unpacked, _, length = _LENGTHS.unpack(header) if len(packed) >= 20 else (0, 0, 0)
     if unpacked != out.nbytes or length != len(packed) - 4:
         raise StoreError(
             f"{where}: expected {len(packed) - 4} bytes that become {out.nbytes}, "

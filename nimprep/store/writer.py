@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from nimprep.errors import StoreError
 from nimprep.frame import LabelClass
-from nimprep.store.metadata import ROOT, read_attributes, write_attributes, write_file
+from nimprep.store.metadata import ROOT, read_attributes
 from nimprep.store.shards import encode_shard
 from nimprep.store.spec import (
     TABLE_SHAPES,
@@ -27,6 +27,7 @@ from nimprep.store.spec import (
     chunk_codec,
     image_specs,
 )
+from nimprep.store.storage import Storage
 
 if TYPE_CHECKING:
     import zarr
@@ -166,28 +167,36 @@ class StoreWriter:
 
     Parameters
     ----------
-    target : Path
-        An empty folder (see `make_partial`).
+    storage : Storage
+        An empty place, or one that holds what this writer's like has written so far.
     layout : StoreLayout
-    attributes : dict
-        The `nimprep` object as far as it is known; `finish` completes it.
+        Its number of frames counts in `finish` only.
     """
 
-    def __init__(self, target: Path, layout: StoreLayout, attributes: dict[str, Any]) -> None:
-        self.target = target
+    def __init__(self, storage: Storage, layout: StoreLayout) -> None:
+        self.storage = storage
         self.layout = layout
+
+    def begin(self, attributes: dict[str, Any]) -> None:
+        """Write the root, which says that the store is not complete."""
         root = {
             "zarr_format": 3,
             "node_type": "group",
             "attributes": {"nimprep": {**attributes, "complete": False}},
         }
-        write_file(target / ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
+        self.storage.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
+
+    def shard_key(self, modality: str, shard: int) -> str:
+        """Return where a shard of a modality lies."""
+        return "/".join((modality, "c", str(shard), *self._rest(modality)))
+
+    def _rest(self, modality: str) -> list[str]:
+        return ["0"] * (len(self.layout.spec(modality).dims) - 1)
 
     def write_shard(self, modality: str, shard: int, chunks: Sequence[bytes]) -> None:
         """Write the file of one shard of one modality from its encoded chunks."""
-        folder = self.target / modality / "c" / str(shard)
-        path = folder.joinpath(*["0"] * (len(self.layout.spec(modality).dims) - 1))
-        write_file(path, encode_shard(chunks, self.layout.shard_length))
+        parts = encode_shard(chunks, self.layout.shard_length)
+        self.storage.write(self.shard_key(modality, shard), parts)
 
     def finish(self, tables: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any]) -> None:
         """Write the per-frame tables and the arrays' metadata; then the store is complete.
@@ -201,21 +210,28 @@ class StoreWriter:
         """
         import zarr
 
+        # Anew, so that what a run cut short in here left does not tell in the bytes.
+        self.begin(dict(attributes))
+        place = self.storage.zarr()
         try:
-            group = zarr.open_group(self.target, mode="r+")
+            group = zarr.open_group(place, mode="r+")
             for modality in self.layout.modalities:
+                self.storage.remove(f"{modality}/zarr.json")
                 self._create_images(group, modality)
             for name, spec in TABLES.items():
+                self.storage.remove(name)
                 create_table(group, name, spec, tables[name])
             with warnings.catch_warnings():
                 # Consolidated metadata is an extension that xarray reads, and warns without.
                 warnings.filterwarnings("ignore", message="Consolidated metadata")
-                zarr.consolidate_metadata(self.target)
+                zarr.consolidate_metadata(place)
         except OSError as error:
             raise StoreError(
-                f"{self.target}: expected room to write, found {error.strerror or error}"
+                f"{self.storage}: expected room to write, found {error.strerror or error}"
             ) from error
-        write_attributes(self.target, {**attributes, "complete": True})
+        root = json.loads(self.storage.read(ROOT) or b"{}")
+        root["attributes"]["nimprep"] = {**attributes, "complete": True}
+        self.storage.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
 
     def _create_images(self, group: zarr.Group, modality: str) -> None:
         from zarr.codecs import BloscCodec, Crc32cCodec

@@ -3,7 +3,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +18,10 @@ from nimprep.errors import (
     StoreError,
 )
 from nimprep.splits import count_splits, write_split_file
-from nimprep.store.metadata import read_attributes
 from nimprep.store.validate import validate_store
-from tests.fakes import write_gmrp, write_png
+from tests.fakes import contents, write_gmrp, write_png
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 @pytest.fixture
@@ -267,47 +261,6 @@ def test_a_disk_that_runs_full_is_one_line_and_nothing_is_left(gmrp: Path, tmp_p
     assert len(errors) == 1
     assert "expected room to write, found File too large" in errors[0]
     assert not target.exists()
-
-
-def test_a_killed_conversion_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
-    gmrp = write_gmrp(tmp_path / "gmrp", frames=40, size=(120, 160))
-    whole, target = tmp_path / "whole.zarr", tmp_path / "s.zarr"
-    nimprep.convert(gmrp, whole, shard_length=2)
-    process = subprocess.Popen(
-        [*COMMAND, "--shard-length", "2", "--workers", "1", str(gmrp), str(target)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    partial = tmp_path / f".s.zarr.{process.pid}.partial"
-    deadline = time.monotonic() + 60
-    while not (partial / "rgb").exists() and time.monotonic() < deadline:
-        time.sleep(0.001)
-    process.kill()
-    process.wait()
-    assert not target.exists()
-    assert not read_attributes(partial, complete=False)["complete"]
-    with pytest.raises(StoreError, match="cut short"):
-        nimprep.open_store(partial)
-    # No array has its metadata yet, so that no other library takes it for whole either.
-    assert list(partial.glob("*/zarr.json")) == []
-    nimprep.convert(gmrp, target, shard_length=2)
-    assert contents(target) == contents(whole)
-    assert not partial.exists()
-
-
-def test_of_two_conversions_into_one_target_one_is_kept_whole(tmp_path: Path) -> None:
-    gmrp = write_gmrp(tmp_path / "gmrp", frames=30, size=(120, 160))
-    target = tmp_path / "s.zarr"
-    both = [
-        subprocess.Popen(
-            [*COMMAND, str(gmrp), str(target)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-        )
-        for _ in range(2)
-    ]
-    errors = [process.communicate()[1] for process in both]
-    assert sorted(process.returncode for process in both) == [0, 1], errors
-    assert validate_store(target, deep=True).problems == []
-    assert {path.name for path in tmp_path.iterdir()} == {"gmrp", "s.zarr"}
 
 
 def test_a_bad_source_leaves_the_store_it_was_to_replace(gmrp: Path, tmp_path: Path) -> None:

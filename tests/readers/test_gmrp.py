@@ -103,8 +103,9 @@ def test_invalid_sides_are_those_without_depth_in_any_frame(tmp_path: Path) -> N
 
 
 def test_a_crop_that_leaves_nothing_is_refused(gmrp: Path) -> None:
+    reader = CroppedReader(open_reader(gmrp), Margins(12, 12, 0, 0))
     with pytest.raises(LayoutError, match="leave something of 32x24"):
-        CroppedReader(open_reader(gmrp), Margins(12, 12, 0, 0))
+        reader.shape("000001")
 
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:

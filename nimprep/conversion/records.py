@@ -1,0 +1,137 @@
+"""What is kept of frames once their images are written: facts per frame, records per unit."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.splits import SPLIT_CODES
+
+DEPTHS = 1 << 16
+"""Values a stored depth, millimetres, can have."""
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """Hold what a store's tables say of a frame; lists as JSON has them.
+
+    Attributes
+    ----------
+    id, group : str
+    image_size : [height, width]
+    intrinsics : 3 x 3
+        K, pixels.
+    baseline_m : float
+    cam_to_road : 3 x 4
+        NaN where there is none.
+    gravity : 3
+        Direction HHA was made with; NaN without HHA.
+    channel_sums : 7 x 3
+        See `nimprep.store.statistics.channel_sums`.
+    digest : str
+        SHA-256 of the frame's source files.
+    """
+
+    id: str
+    group: str
+    image_size: list[int]
+    intrinsics: list[list[float]]
+    baseline_m: float
+    cam_to_road: list[list[float]]
+    gravity: list[float]
+    channel_sums: list[list[int]]
+    digest: str
+
+
+@dataclass(frozen=True)
+class SkippedFrame:
+    """Name a frame that was left out, and why."""
+
+    id: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class UnitRecord:
+    """Hold what is known of a unit, one shard of every array, once its shards are written.
+
+    Attributes
+    ----------
+    number : int
+    frames : tuple of FrameFacts
+        Those in the shards, in order.
+    skipped : tuple of SkippedFrame
+    depth_counts : (65536,) int64
+        Pixels per depth in millimetres.
+    """
+
+    number: int
+    frames: tuple[FrameFacts, ...]
+    skipped: tuple[SkippedFrame, ...]
+    depth_counts: npt.NDArray[np.int64]
+
+    def to_json(self) -> bytes:
+        """Return the record as a JSON document; floats keep every digit."""
+        counts = zlib.compress(self.depth_counts.astype("<i8").tobytes(), 1)
+        document = {
+            "number": self.number,
+            "frames": [asdict(frame) for frame in self.frames],
+            "skipped": [asdict(frame) for frame in self.skipped],
+            "depth_counts": base64.b64encode(counts).decode(),
+        }
+        return json.dumps(document).encode()
+
+    @classmethod
+    def from_json(cls, data: bytes) -> UnitRecord:
+        """Return the record that `to_json` wrote."""
+        document = json.loads(data)
+        counts = zlib.decompress(base64.b64decode(document["depth_counts"]))
+        return cls(
+            number=document["number"],
+            frames=tuple(FrameFacts(**frame) for frame in document["frames"]),
+            skipped=tuple(SkippedFrame(**frame) for frame in document["skipped"]),
+            depth_counts=np.frombuffer(counts, dtype="<i8").astype(np.int64),
+        )
+
+
+def tables(facts: Sequence[FrameFacts], splits: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
+    """Return the per-frame arrays, by the names of `nimprep.store.spec.TABLES`."""
+    return {
+        "frame_id": np.array([f.id for f in facts], dtype="T"),
+        "split": np.array([SPLIT_CODES[s] for s in splits], dtype=np.uint8),
+        "group": np.array([f.group for f in facts], dtype="T"),
+        "image_size": np.array([f.image_size for f in facts], dtype=np.int32),
+        "intrinsics": np.array([f.intrinsics for f in facts]),
+        "baseline": np.array([f.baseline_m for f in facts]),
+        "cam_to_road": np.array([f.cam_to_road for f in facts]),
+        "gravity": np.array([f.gravity for f in facts]),
+        "channel_sums": np.array([f.channel_sums for f in facts], dtype=np.int64),
+    }
+
+
+def source_digest(facts: Iterable[FrameFacts]) -> str:
+    """Return the digest of all frames' sources, as the root's attributes have it."""
+    digest = hashlib.sha256()
+    for frame in facts:
+        digest.update(f"{frame.id}\0{frame.digest}\n".encode())
+    return f"sha256:{digest.hexdigest()}"
+
+
+def depth_percentiles(counts: npt.NDArray[np.int64]) -> dict[str, float] | None:
+    """Return the 5th, 50th and 95th percentile, metres, of a histogram over millimetres.
+
+    Each is the smallest depth that this share of the pixels with depth does not exceed.
+    """
+    below = np.cumsum(counts[1:])
+    if below[-1] == 0:
+        return None
+    ranks = {str(p): -(-p * int(below[-1]) // 100) for p in (5, 50, 95)}
+    return {p: (int(np.searchsorted(below, rank)) + 1) / 1000 for p, rank in ranks.items()}

@@ -1,0 +1,66 @@
+"""Telling a frame's source files apart from what they were before: sizes, times, contents."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+from nimprep.errors import DecodeError
+from nimprep.readers import Reader
+
+FileState = tuple[str, int, int]
+"""A file's name within the dataset, its bytes, and when it was changed, nanoseconds."""
+
+
+def frame_state(reader: Reader, frame_id: str) -> tuple[FileState, ...]:
+    """Return the state of the files a frame is read from.
+
+    Raises
+    ------
+    DecodeError
+        One is gone.
+    """
+    states = []
+    for path in reader.sources(frame_id):
+        try:
+            found = path.stat()
+        except OSError as error:
+            raise DecodeError(
+                f"{path}: expected a readable file, found {error.strerror}"
+            ) from error
+        states.append((_name(reader, path), found.st_size, found.st_mtime_ns))
+    return tuple(states)
+
+
+def _name(reader: Reader, path: Path) -> str:
+    within = path.is_relative_to(reader.root)
+    return path.relative_to(reader.root).as_posix() if within else path.name
+
+
+def changed_files(before: Iterable[FileState], after: Iterable[FileState]) -> list[str]:
+    """Return the names of files that differ between two states of a frame."""
+    old = {name: (size, time) for name, size, time in before}
+    new = {name: (size, time) for name, size, time in after}
+    return sorted(n for n in old.keys() | new.keys() if old.get(n) != new.get(n))
+
+
+def frame_digest(reader: Reader, frame_id: str) -> str:
+    """Return the SHA-256 of a frame's source files, names and contents.
+
+    Raises
+    ------
+    DecodeError
+        One cannot be read.
+    """
+    digest = hashlib.sha256()
+    for path in reader.sources(frame_id):
+        digest.update(f"{_name(reader, path)}\0".encode())
+        try:
+            with path.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+        except OSError as error:
+            raise DecodeError(
+                f"{path}: expected a readable file, found {error.strerror}"
+            ) from error
+    return digest.hexdigest()
