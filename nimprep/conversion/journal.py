@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from nimprep import __version__
 from nimprep.conversion.options import ConvertOptions
-from nimprep.conversion.records import UnitRecord
+from nimprep.conversion.records import DEPTHS, UnitRecord
 from nimprep.conversion.sources import FileState, changed_files
 from nimprep.errors import StoreError
 from nimprep.readers.crop import Margins
@@ -164,12 +169,20 @@ class Journal:
         self._storage.write(_PACKED, [b""])
 
     def records(self) -> dict[int, UnitRecord]:
-        """Return the records kept, by the unit's number; what cannot be read is not done."""
-        found = {}
+        """Return the records kept, by the unit's number; what cannot be read is not done.
+
+        Their histograms are left out: see `depth_counts`.
+        """
+        return {record.number: record.without_counts() for record in self._read()}
+
+    def depth_counts(self) -> npt.NDArray[np.int64]:
+        """Return the sum of the histograms of the units done, (65536,) int64."""
+        total = np.zeros(DEPTHS, dtype=np.int64)
+        for record in self._read():
+            total += record.depth_counts
+        return total
+
+    def _read(self) -> Iterator[UnitRecord]:
         for key in self._storage.keys(_UNITS):
-            try:
-                record = UnitRecord.from_json(self._storage.read(key) or b"")
-            except (ValueError, KeyError, TypeError):
-                continue
-            found[record.number] = record
-        return found
+            with suppress(ValueError, KeyError, TypeError, zlib.error):
+                yield UnitRecord.from_json(self._storage.read(key) or b"")

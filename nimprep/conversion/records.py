@@ -7,7 +7,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -100,6 +100,10 @@ class UnitRecord:
             skipped=tuple(SkippedFrame(**frame) for frame in document["skipped"]),
             depth_counts=np.frombuffer(counts, dtype="<i8").astype(np.int64),
         )
+
+    def without_counts(self) -> UnitRecord:
+        """Return the record without its histogram, which outweighs all the rest."""
+        return replace(self, depth_counts=self.depth_counts[:0].copy())
 
 
 def tables(facts: Sequence[FrameFacts], splits: Sequence[str]) -> dict[str, npt.NDArray[Any]]:

@@ -9,8 +9,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nimprep.conversion.job import Job
 from nimprep.conversion.journal import Journal
 from nimprep.conversion.local import encode_units
@@ -203,11 +201,10 @@ class _Run:
             )
         self._pack(records)
         ids = [frame.id for frame in facts]
-        counts = np.sum([record.depth_counts for record in records], axis=0)
         attributes = {
             **self._describe(ids),
             **({"skipped": [asdict(frame) for frame in skipped]} if skipped else {}),
-            "depth_percentiles_m": depth_percentiles(counts),
+            "depth_percentiles_m": depth_percentiles(self._journal.depth_counts()),
             "source": {"digest": source_digest(facts)},
         }
         layout = replace(self._job.layout, frames=len(facts))
