@@ -3,7 +3,7 @@
     nimprep synth raw --frames 64 && nimprep convert raw data.zarr
     python scripts/train.py data.zarr --setup nim-rgb+d
     python scripts/train.py data.zarr --setup nim-rgb+d --resume       # goes on where it stopped
-    python scripts/train.py data.zarr --setups all                     # a table of the seven setups
+    python scripts/train.py data.zarr --setups all                     # a table of its setups
     nimprep evaluate data.zarr runs/nim-rgb+d/predictions/test         # the same scores
 
 An example to start from; the networks of the paper are larger.
@@ -212,7 +212,9 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
     )
     parser.add_argument("store", type=Path)
     parser.add_argument("--setup", default="nim-rgb+d", choices=SETUPS)
-    parser.add_argument("--setups", choices=["all"], help="every setup; with --fusion those of two")
+    parser.add_argument(
+        "--setups", choices=["all"], help="all the store serves; with --fusion of two"
+    )
     parser.add_argument("--fusion", action="store_true", help="an encoder for each modality")
     parser.add_argument("--out", type=Path, default=Path("runs"))
     parser.add_argument("--epochs", type=int, default=30)
@@ -224,7 +226,9 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
     options = parser.parse_args(arguments)
     names = [options.setup]
     if options.setups:
-        names = [name for name, parts in SETUPS.items() if len(parts) == 2 or not options.fusion]
+        served = {*nimprep.open_store(options.store).modalities, "normal"}
+        names = [name for name, parts in SETUPS.items() if served.issuperset(parts)]
+        names = [name for name in names if len(SETUPS[name]) == 2 or not options.fusion]
     results = [run(argparse.Namespace(**{**vars(options), "setup": name})) for name in names]
     print_table(results)
     return results

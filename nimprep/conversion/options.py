@@ -9,7 +9,7 @@ from typing import Literal
 
 from nimprep.derive.modalities import DERIVED, Recipe
 from nimprep.errors import ArrayError
-from nimprep.frame import MODALITIES
+from nimprep.frame import MODALITIES, modality_name
 from nimprep.readers import ReaderOptions
 from nimprep.readers.cameras import CameraSource, camera_from_file, camera_from_intrinsics
 from nimprep.splits import SPLIT_RULES
@@ -41,7 +41,8 @@ class ConvertOptions:
     crop : "auto", (top, bottom, left, right) or None
         Cut the sides that have depth in no frame, or so many pixels, or nothing.
     modalities : sequence of str, optional
-        What to store; None = all that can be had.
+        What to store; None = all that can be had but disparity, transformed_disparity and
+        elevation, which are stored where they are named.
     normals : str
         Method of `estimate_normals`.
     sign_filter : bool
@@ -68,6 +69,9 @@ class ConvertOptions:
         Begin anew where an earlier conversion into the target was cut short; else go on there.
     on_error : {"stop", "skip"}
         What a bad frame does: end the conversion, or be left out and listed in the metadata.
+    scheduler : str, optional
+        Address of a Dask scheduler, tcp://host:8786, on whose workers units are encoded; source,
+        target and files named here must be in their reach under the same paths. None = here.
     """
 
     reader: str = "auto"
@@ -94,6 +98,7 @@ class ConvertOptions:
     overwrite: bool = False
     restart: bool = False
     on_error: Literal["stop", "skip"] = "stop"
+    scheduler: str | None = None
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
@@ -117,6 +122,9 @@ class ConvertOptions:
                 f"depth_scale: expected 1e-9 to 1000 metres per unit, found {self.depth_scale}"
             )
         _ = self.recipe  # checks what it is made of
+        if self.modalities is not None:
+            names = tuple(modality_name(name) for name in self.modalities)
+            object.__setattr__(self, "modalities", names)
         for name in self.modalities or ():
             if name not in MODALITIES:
                 known = ", ".join(MODALITIES)

@@ -11,10 +11,11 @@ from nimprep import __version__
 from nimprep.conversion.options import ConvertOptions
 from nimprep.derive.modalities import DERIVED
 from nimprep.errors import LayoutError, StoreError
-from nimprep.frame import MODALITIES
+from nimprep.frame import MODALITIES, ON_REQUEST
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.splits import SplitName, assign_splits, splits_from_file
+from nimprep.store.location import location_from
 from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.writer import StoreLayout
 
@@ -29,6 +30,28 @@ def check_apart(source: Path, target: Path) -> None:
         )
 
 
+def local_folder(place: Path | str, task: str) -> Path:
+    """Return the folder a store is in, links followed.
+
+    Parameters
+    ----------
+    task : str
+        What it is needed for, for the message.
+
+    Raises
+    ------
+    StoreError
+        It is a URL.
+    """
+    found = location_from(place)
+    if isinstance(found, str):
+        raise StoreError(
+            f"{place}: expected a folder on this machine to {task}, found a URL; copy the store "
+            "here first"
+        )
+    return found.resolve() if found.is_symlink() else found
+
+
 def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
     """Fix the store's shape from the frames' headers and the options.
 
@@ -38,7 +61,7 @@ def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
         A modality is asked for that there is not.
     """
     available = ["rgb", "depth", *DERIVED, *(["label"] if reader.info.classes else [])]
-    asked = options.modalities or tuple(available)
+    asked = options.modalities or tuple(name for name in available if name not in ON_REQUEST)
     for name in asked:
         if name not in available:
             hint = "; it has no labels here" if name == "label" else ""

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import ArrayError
-from nimprep.frame import Frame
+from nimprep.frame import ON_REQUEST, PLANES, VIRTUAL_BASELINE_M, Frame
 
-DERIVED = ("normal", "hha")
+DERIVED = ("normal", "hha", "disparity", "transformed_disparity", "elevation")
 """The modalities that `derive` makes; the others come from the source."""
 
 FILLS = ("none", "nearest", "linear", "colorization")
@@ -33,12 +33,15 @@ class Recipe:
         Method of `fill_depth` for what normals and HHA are made from.
     store_filled : bool
         Whether the store holds the filled depth in place of the raw one.
+    virtual_baseline_m : float
+        Baseline of the disparity of frames that have none, metres.
     """
 
     normals: str = "nim"
     sign_filter: bool = False
     fill: str = "none"
     store_filled: bool = False
+    virtual_baseline_m: float = VIRTUAL_BASELINE_M
 
     def __post_init__(self) -> None:
         from nimprep.derive.normals import METHODS
@@ -69,8 +72,26 @@ class Recipe:
                     "angle": "degrees between normal and gravity, plus 38: floor 38, wall 128",
                 },
             }
+        if modality in ON_REQUEST:
+            return _describe_plane(modality, self)
         fill = self.fill if modality == "depth" and self.store_filled else None
         return {"method": "source", "parameters": {} if fill is None else {"fill": fill}}
+
+
+def _describe_plane(modality: str, recipe: Recipe) -> dict[str, Any]:
+    baseline = {
+        "baseline": "the frame's own where it has one, else the virtual one",
+        "virtual_baseline_m": recipe.virtual_baseline_m,
+    }
+    if modality == "disparity":
+        method, more = "disparity", {**baseline, "disparity": "fx * baseline / depth"}
+    elif modality == "transformed_disparity":
+        meaning = "disparity less that of the road's fitted profile; 0 = on the road"
+        method, more = "road-profile", {**baseline, "transformed_disparity": meaning}
+    else:
+        plane = "the road frame's y = 0 where a frame has cam_to_road, else fitted to the depth"
+        method, more = "road-plane", {"plane": plane}
+    return {"method": method, "parameters": {"fill": recipe.fill, **more}}
 
 
 def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
@@ -83,6 +104,12 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
         sign_filter=bool(normal["parameters"].get("sign_filter", False)),
         fill=derived[0].get("fill", "none") if derived else stored.get("fill", "none"),
         store_filled="fill" in stored,
+        virtual_baseline_m=float(
+            next(
+                (p["virtual_baseline_m"] for p in derived if "virtual_baseline_m" in p),
+                VIRTUAL_BASELINE_M,
+            )
+        ),
     )
 
 
@@ -93,6 +120,8 @@ class Derived:
     Attributes
     ----------
     images : dict of modality to array
+        Normals as float32 vectors, HHA as bytes, the others as the integers of `PLANES`, which is
+        how a store holds them.
     gravity : (3,) float64
         Direction in the camera frame that HHA was made with; NaN without HHA.
     """
@@ -155,4 +184,44 @@ def derive(
         else:
             gravity = estimate_gravity(frame.depth_m, frame.camera, missing, num_threads=1)
         images["hha"] = encode_hha(frame.depth_m, frame.camera, missing, gravity, num_threads=1)
+    images |= {name: _plane(name, frame, recipe) for name in ON_REQUEST if name in modalities}
     return Derived(images, gravity)
+
+
+def _plane(name: str, frame: Frame, recipe: Recipe) -> npt.NDArray[Any]:
+    """Return disparity, transformed disparity or elevation as integers; no road in it = none."""
+    from nimprep.derive.kernels.planes import positives_to_integers, signed_to_integers
+
+    numbers = _numbers(name, frame, recipe)
+    plane = PLANES[name]
+    if numbers is None:
+        return np.full(frame.camera.shape, plane.none, plane.dtype)
+    out = np.empty(numbers.shape, plane.dtype)
+    if plane.dtype == "uint16":
+        positives_to_integers(numbers, plane.steps, out)
+    else:
+        signed_to_integers(numbers, plane.steps, out)
+    return out
+
+
+def _numbers(name: str, frame: Frame, recipe: Recipe) -> npt.NDArray[np.float32] | None:
+    """Return an image of one number per pixel; None = there is no road in the frame."""
+    from nimprep.derive.depth import checked_depth
+    from nimprep.derive.disparity import disparity_from_depth
+    from nimprep.derive.elevation import estimate_elevation, find_road_plane, road_plane
+    from nimprep.derive.road_profile import find_road_profile, transform_disparity
+
+    depth, camera = checked_depth(frame.depth_m, frame.camera), frame.camera
+    if name == "elevation":
+        if frame.cam_to_road is not None:
+            plane: npt.NDArray[np.float64] | None = road_plane(frame.cam_to_road)
+        else:
+            plane = find_road_plane(depth, camera)
+        return None if plane is None else estimate_elevation(depth, camera, plane, num_threads=1)
+    own = np.isfinite(frame.baseline_m)
+    baseline_m = frame.baseline_m if own else recipe.virtual_baseline_m
+    disparity = disparity_from_depth(depth, camera, baseline_m, num_threads=1)
+    if name == "disparity":
+        return disparity
+    profile = find_road_profile(disparity)
+    return None if profile is None else transform_disparity(disparity, profile, num_threads=1)[0]

@@ -10,6 +10,12 @@ from nimprep.errors import ArrayError
 
 _pool: ThreadPoolExecutor | None = None
 
+# Blocks for each thread: the last to end then keeps the others waiting for little.
+_BLOCKS_PER_THREAD = 4
+
+# Below this many pixels a block costs less than handing it to a thread.
+_LEAST_BLOCK_PIXELS = 1 << 14
+
 
 def available_cores() -> int:
     """Count the cores this process may run on."""
@@ -50,6 +56,24 @@ def run_blocks(function: Callable[[int], object], count: int, num_threads: int |
     for error in errors:
         if error is not None:
             raise error
+
+
+def run_rows(
+    function: Callable[[int, int], object], shape: tuple[int, ...], num_threads: int | None
+) -> None:
+    """Call ``function(first, last)`` for blocks of an image's rows, last exclusive.
+
+    For kernels whose pixels do not depend on where a block begins.
+    """
+    threads = _checked_threads(num_threads)
+    height, width = shape[:2]
+    rows = max(-(-height // (threads * _BLOCKS_PER_THREAD)), _LEAST_BLOCK_PIXELS // width, 1)
+    rows = height if threads == 1 else rows
+
+    def run(block: int) -> None:
+        function(block * rows, min((block + 1) * rows, height))
+
+    run_blocks(run, -(-height // rows), num_threads)
 
 
 def _work(function: Callable[[int], object], blocks: Iterator[int]) -> None:

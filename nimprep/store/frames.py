@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
-from nimprep.frame import Frame
+from nimprep.frame import PLANES, Frame
 from nimprep.store.buffers import empty
 from nimprep.store.images import ImageArray
 from nimprep.store.spec import NORMAL_SCALES
@@ -28,9 +28,20 @@ def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uin
 
 def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
     """Return (H, W) uint16 millimetres as float32 metres, each the float32 nearest to it."""
-    depth_m = empty(stored.shape, np.float32)
-    np.divide(stored, np.float32(1000), out=depth_m, dtype=np.float32)
-    return depth_m
+    return plane_from_integers("depth", stored)
+
+
+def plane_from_integers(name: str, stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Return an image of `PLANES`, (H, W) integers, as float32 pixels or metres.
+
+    Where there is none: 0 if the integers are unsigned, NaN if they are signed.
+    """
+    plane = PLANES[name]
+    numbers = empty(stored.shape, np.float32)
+    np.divide(stored, np.float32(plane.steps), out=numbers, dtype=np.float32)
+    if plane.none:
+        numbers[stored == plane.none] = np.nan
+    return numbers
 
 
 def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDArray[Any]:
@@ -104,8 +115,7 @@ class StoredFrame(Frame):
     @cached_property
     def depth_m(self) -> npt.NDArray[np.float32] | None:
         """Depth, (H, W) float32 metres, 0 = none."""
-        stored = self._image("depth")
-        return None if stored is None else depth_from_millimetres(stored)
+        return self._plane("depth")
 
     @cached_property
     def normal(self) -> npt.NDArray[np.float32] | None:
@@ -117,6 +127,25 @@ class StoredFrame(Frame):
     def hha(self) -> npt.NDArray[np.uint8] | None:
         """HHA, (H, W, 3) uint8."""
         return self._image("hha")
+
+    @cached_property
+    def disparity(self) -> npt.NDArray[np.float32] | None:
+        """Disparity, (H, W) float32 pixels, 0 = none."""
+        return self._plane("disparity")
+
+    @cached_property
+    def transformed_disparity(self) -> npt.NDArray[np.float32] | None:
+        """Disparity less the road's, (H, W) float32 pixels, NaN = none."""
+        return self._plane("transformed_disparity")
+
+    @cached_property
+    def elevation(self) -> npt.NDArray[np.float32] | None:
+        """Height over the road's plane, (H, W) float32 metres, NaN = none."""
+        return self._plane("elevation")
+
+    def _plane(self, name: str) -> npt.NDArray[np.float32] | None:
+        stored = self._image(name)
+        return None if stored is None else plane_from_integers(name, stored)
 
     @cached_property
     def label(self) -> npt.NDArray[np.uint8] | None:

@@ -12,19 +12,19 @@ from nimprep.splits import count_splits
 from nimprep.store.reader import Store, open_store
 
 
-def store_info(path: Path | str) -> dict[str, Any]:
-    """Return what a store holds (schemas/info.schema.json).
+def store_info(path: Store | Path | str) -> dict[str, Any]:
+    """Return what a store holds (schemas/info.schema.json), given where it is or opened.
 
     Raises
     ------
     StoreError
         There is no store, or it is not complete.
     """
-    store = open_store(path)
+    store = path if isinstance(path, Store) else open_store(path)
     attributes, tables = store.attributes, store.tables
     sizes = Counter((int(h), int(w)) for h, w in tables.image_size)
     return {
-        "path": str(path),
+        "path": str(store.path),
         "format_version": attributes["format_version"],
         "tool_version": attributes["tool_version"],
         "complete": attributes["complete"],
@@ -47,10 +47,7 @@ def store_info(path: Path | str) -> dict[str, Any]:
 
 def _modality(store: Store, name: str) -> dict[str, Any]:
     array = store.arrays[name]
-    shards = -(-len(array) // array.shard_length)
-    stored = sum(
-        path.stat().st_size for i in range(shards) if (path := array.shard_path(i)).is_file()
-    )
+    stored = sum(store.storage.sizes([array.shard_key(i) for i in array.shards]).values())
     raw = int(np.prod(array.shape)) * array.dtype.itemsize
     return {
         **store.attributes["modalities"][name],
@@ -111,12 +108,14 @@ def info_text(info: dict[str, Any]) -> str:
         rows.append(("skipped", f"{len(info['skipped'])} bad frames of the source"))
     lines = [f"{name:<9}{text}" for name, text in rows]
     lines.append("")
-    lines.append(f"{'modality':<10}{'dtype':<8}{'made by':<14}{'MB':>9}{'of raw':>9}")
+    wide = max(10, *(len(name) + 1 for name in info["modalities"]))
+    lines.append(f"{'modality':<{wide}}{'dtype':<8}{'made by':<14}{'MB':>9}{'of raw':>9}")
     for name, m in info["modalities"].items():
         share = m["bytes"] / m["bytes_uncompressed"]
         made = m["method"] if m["method"] != "source" else "copied"
         megabytes = m["bytes"] / 1e6
-        lines.append(f"{name:<10}{m['dtype']:<8}{made:<14}{megabytes:>9.2f}{share:>8.0%} ".rstrip())
+        size = f"{megabytes:>9.2f}{share:>8.0%}"
+        lines.append(f"{name:<{wide}}{m['dtype']:<8}{made:<14}{size}")
     return "\n".join(lines)
 
 

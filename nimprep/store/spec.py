@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nimprep.errors import StoreError
-from nimprep.frame import IGNORE_LABEL, LabelClass
+from nimprep.frame import IGNORE_LABEL, ON_REQUEST, PLANES, LabelClass
 from nimprep.splits import SPLIT_CODES
 
 FORMAT_VERSION = "1.0"
@@ -100,6 +100,7 @@ def image_specs(classes: tuple[LabelClass, ...], normal_dtype: str) -> dict[str,
                 **coordinates,
             },
         ),
+        **{name: _plane_spec(name) for name in ON_REQUEST},
         "label": ArraySpec(
             plane,
             "uint8",
@@ -112,6 +113,25 @@ def image_specs(classes: tuple[LabelClass, ...], normal_dtype: str) -> dict[str,
             },
         ),
     }
+
+
+_PLANE_NAMES = {
+    "disparity": "disparity of a rectified stereo pair",
+    "transformed_disparity": "disparity less the road's own",
+    "elevation": "height over the road's plane",
+}
+
+
+def _plane_spec(name: str) -> ArraySpec:
+    plane = PLANES[name]
+    attributes = {
+        "long_name": _PLANE_NAMES[name],
+        "units": plane.units,
+        "scale_factor": 1 / plane.steps,
+        "_FillValue": plane.none,
+        "coordinates": COORDINATES,
+    }
+    return ArraySpec(("frame", "y", "x"), plane.dtype, plane.none, attributes)
 
 
 TABLES: dict[str, ArraySpec] = {
@@ -226,8 +246,9 @@ def chunk_codec(preset: str, dtype: str) -> ChunkCodec:
     )
 
 
-MAX_FRAMES = 1 << 28
-"""A store that claims more frames is refused before anything is allocated for them."""
+MAX_FRAMES = 1 << 20
+"""A store that claims more frames is refused: its tables, of some hundred bytes a frame, can be
+packed to almost nothing, and are unpacked when it is opened."""
 
 SHARD_LENGTH = 32
 """Frames per shard: the unit of work and of writing."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from nimprep.derive.modalities import DERIVED, derive, fill_frame, recipe_from
 from nimprep.derive.threads import available_cores
 from nimprep.errors import NimprepError
-from nimprep.frame import IGNORE_LABEL, Frame
+from nimprep.frame import IGNORE_LABEL, ON_REQUEST, PLANES, Frame
 from nimprep.store.frames import depth_from_millimetres, normals_to_integers
 from nimprep.store.reader import Store
 from nimprep.store.spec import NORMAL_SCALES
@@ -74,6 +74,7 @@ def _frame_problems(store: Store, number: int, *, recompute: bool) -> list[str]:
         recipe = recipe_from(store.attributes["modalities"])
         filled = recipe.fill != "none" and not recipe.store_filled
         problems += _normal_problems(images["normal"], images.get("depth"), filled=filled)
+    problems += _plane_problems(store, images)
     if recompute and "depth" in images:
         problems += _recomputed_problems(store, number, images)
     return problems
@@ -118,6 +119,26 @@ def _normal_problems(
     return problems
 
 
+def _plane_problems(store: Store, images: dict[str, npt.NDArray[Any]]) -> list[str]:
+    """Check that disparity and what is made of it are where depth is, or nowhere without a road."""
+    if "depth" not in images:
+        return []
+    recipe = recipe_from(store.attributes["modalities"])
+    filled = recipe.fill != "none" and not recipe.store_filled
+    problems = []
+    for name in ON_REQUEST:
+        if name not in images:
+            continue
+        some, depth = images[name] != PLANES[name].none, images["depth"] > 0
+        wrong = depth & ~some if filled else depth != some
+        if wrong.any() and (name == "disparity" or some.any()):
+            problems.append(
+                f"{name}: expected a value exactly where depth is, "
+                f"found {int(wrong.sum())} pixels not so"
+            )
+    return problems
+
+
 def _recomputed_problems(
     store: Store, number: int, images: dict[str, npt.NDArray[Any]]
 ) -> list[str]:
@@ -128,6 +149,7 @@ def _recomputed_problems(
         camera=store.camera(number),
         rgb=images.get("rgb"),
         depth_m=depth_from_millimetres(images["depth"]),
+        baseline_m=float(store.tables.baseline[number]),
         cam_to_road=store.cam_to_road(number),
     )
     missing = None
@@ -148,7 +170,8 @@ def _recomputed_problems(
         stored = images[name]
         if name == "normal":
             again = normals_to_integers(again, str(stored.dtype))
-        apart = np.abs(again.astype(np.int32) - stored).max(axis=2) > 1
+        apart = np.abs(again.astype(np.int32) - stored) > 1
+        apart = apart.any(axis=2) if apart.ndim == 3 else apart
         if apart.any():
             method = store.attributes["modalities"][name]["method"]
             problems.append(

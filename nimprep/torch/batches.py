@@ -54,7 +54,7 @@ def _new_stored(dataset: StoreDataset, name: str, new: Any) -> Tensor:
     if name == "normal" and dataset.source.normals != "cached":
         dtype = torch.int8
     height, width = dataset.source.size
-    if name == "depth":
+    if CHANNELS[name] == 1:
         return new(1, height, width, dtype=dtype)  # type: ignore[no-any-return]
     # In memory the channels stay last, as stored; PyTorch's channels_last format.
     return new(height, width, 3, dtype=dtype).permute(0, 3, 1, 2)  # type: ignore[no-any-return]
@@ -75,7 +75,7 @@ def fill(dataset: StoreDataset, batch: Batch, position: int, index: int) -> None
     if dataset.dtype == "stored":
         for name in selection.images:
             place = batch[name][position]
-            flat = place[0] if name == "depth" else place.permute(1, 2, 0)
+            flat = place[0] if CHANNELS[name] == 1 else place.permute(1, 2, 0)
             source.stored(name, frame, flat.numpy())
         if selection.label:
             source.stored("label", frame, batch["label"][position].numpy())

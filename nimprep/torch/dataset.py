@@ -38,27 +38,34 @@ class StoreDataset(Dataset[dict[str, Any]]):
     split : str, optional
         "train", "val" or "test"; None = all frames.
     setup : str, optional
-        One of `SETUPS`: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d.
+        One of `SETUPS`: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d; disparity,
+        t-disparity, elevation, rgb+disparity, rgb+t-disparity, rgb+elevation, where the store has
+        what they need.
     fusion : bool
         Keep the setup's two modalities apart, as a pair, for a network with two encoders.
     modalities : sequence of str, optional
         In place of a setup: a tensor per name; "label" only if named.
     transform : callable, optional
         Called with each sample before it is normalised: a dict of "rgb" (3, H, W) uint8, "depth"
-        (1, H, W) float32 metres, "normal" (3, H, W) float32, "hha" (3, H, W) uint8, as far as
-        they are used; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id"; "size" (height,
+        (1, H, W) float32 metres, "normal" (3, H, W) float32, "hha" (3, H, W) uint8, "disparity",
+        "transformed_disparity", "elevation" (1, H, W) float32 as a `Frame` has them, as far as they
+        are used; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id"; "size" (height,
         width) without padding; "generator", a `torch.Generator` that depends on (seed, epoch,
         index) alone. Returns such a dict.
     normals : str
-        "cached" = as stored; "nim" = computed from the stored depth as a frame is read.
+        "cached" = as stored; "nim", "nim-edge" = computed by that method of `estimate_normals`
+        from the stored depth as a frame is read.
     normalize : str or Scaling, optional
-        None or "constants": rgb and hha divided by 255, depth by 10 m. "train": mean 0 and
-        standard deviation 1 by the train split's statistics. "none": rgb and hha in 0-255, depth
-        in metres. Where there is no depth or HHA it stays 0; normals stay as they are.
+        None or "constants": rgb and hha divided by 255, depth by 10 m, disparity by 64 pixels,
+        transformed disparity by 16, elevation by 2 m. "train": mean 0 and standard deviation 1 by
+        the train split's statistics for rgb, depth and hha, the constants for the others. "none":
+        rgb and hha in 0-255, the others in metres and pixels. Where there is none of them it is 0,
+        which is also the road's transformed disparity and elevation; normals stay as they are.
     dtype : {"float32", "stored"}
         "stored": images as the store holds them, one tensor per name, for `Normalize` to do the
         float work on the device: rgb and hha (3, H, W) uint8, normal (3, H, W) int8 or int16,
-        depth (1, H, W) uint16 millimetres, label (H, W) uint8.
+        depth and disparity (1, H, W) uint16, transformed disparity and elevation (1, H, W) int16,
+        label (H, W) uint8; see `nimprep.frame.PLANES` for their steps.
     seed : int
         Of the generators that transforms draw from.
 

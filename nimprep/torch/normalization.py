@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from nimprep.frame import PLANES
 from nimprep.torch.dataset import StoreDataset
 from nimprep.torch.setups import CHANNELS
 
@@ -33,9 +34,10 @@ class Normalize(nn.Module):
         Parameters
         ----------
         batch : dict
-            Of rgb, hha (B, 3, H, W) uint8, depth (B, 1, H, W) uint16 millimetres, normal
-            (B, 3, H, W) int8 or int16, label (B, H, W) uint8, as far as the setup has them. One
-            sample without B will do as well.
+            Of rgb, hha (B, 3, H, W) uint8, depth, disparity (B, 1, H, W) uint16,
+            transformed_disparity, elevation (B, 1, H, W) int16, all in the steps of
+            `nimprep.frame.PLANES`, normal (B, 3, H, W) int8 or int16, label (B, H, W) uint8, as far
+            as the setup has them. One sample without B will do as well.
 
         Returns
         -------
@@ -66,9 +68,11 @@ class Normalize(nn.Module):
 
 
 def _physical(name: str, stored: Tensor) -> Tensor:
-    """Return depth in metres and normals of unit length; colours as they are."""
-    if name == "depth":
-        return stored.to(torch.float32) / 1000
+    """Return numbers in metres or pixels and normals of unit length; colours as they are."""
+    if name in PLANES:
+        numbers = stored.to(torch.float32) / PLANES[name].steps
+        none = PLANES[name].none
+        return numbers.masked_fill(stored == none, torch.nan) if none else numbers
     if name != "normal":
         return stored
     vectors = stored.to(torch.float32)

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from nimprep.errors import ArrayError
-from nimprep.store.statistics import channel_statistics
+from nimprep.frame import PLANES
+from nimprep.store.statistics import ROWS, channel_statistics
 from nimprep.torch.setups import CHANNELS
 
 if TYPE_CHECKING:
@@ -20,6 +21,24 @@ if TYPE_CHECKING:
 
 DEPTH_SCALE_M = 10.0
 """Depth is divided by this many metres: about the range of the D415 that GMRP was taken with."""
+
+DISPARITY_SCALE_PX = 64.0
+"""Disparity is divided by as many pixels: about the road's at the lower edge of KITTI's images."""
+
+TRANSFORMED_DISPARITY_SCALE_PX = 16.0
+"""Transformed disparity is divided by as many pixels: what lies on a road is off by a few."""
+
+ELEVATION_SCALE_M = 2.0
+"""Elevation is divided by this many metres: what stands on a road is about as high."""
+
+_CONSTANTS: dict[str, tuple[float, ...]] = {
+    "rgb": (1 / 255,) * 3,
+    "depth": (1 / DEPTH_SCALE_M,),
+    "hha": (1 / 255,) * 3,
+    "disparity": (1 / DISPARITY_SCALE_PX,),
+    "transformed_disparity": (1 / TRANSFORMED_DISPARITY_SCALE_PX,),
+    "elevation": (1 / ELEVATION_SCALE_M,),
+}
 
 NAMED = ("constants", "train", "none")
 """What `normalize` can be by name."""
@@ -31,13 +50,14 @@ Normalization = Literal["constants", "train", "none"]
 class Scaling:
     """Scale and offset per modality and channel.
 
-    A pixel without depth, normal or HHA stays 0 whatever the scaling, so that 0 says "none".
+    A pixel without depth, normal, HHA or disparity stays 0 whatever the scaling, so that 0 says
+    "none". Transformed disparity and elevation become 0 too where there is none, as if on the road.
 
     Attributes
     ----------
     scale, offset : dict of modality to tuple of float
-        For rgb and hha in 0-255, and for depth in metres. Modalities not named are left as they
-        are; normals always are.
+        For rgb and hha in 0-255, depth and elevation in metres, disparities in pixels. Modalities
+        not named are left as they are; normals always are.
     """
 
     scale: dict[str, tuple[float, ...]]
@@ -46,26 +66,28 @@ class Scaling:
     def __post_init__(self) -> None:
         for values in (self.scale, self.offset):
             for name, row in values.items():
-                if name not in ("rgb", "depth", "hha") or len(row) != CHANNELS[name]:
+                if name not in _CONSTANTS or len(row) != CHANNELS[name]:
                     raise ArrayError(
-                        f"scaling: expected a number per channel of rgb, depth or hha, "
+                        f"scaling: expected a number per channel of {', '.join(_CONSTANTS)}, "
                         f"found {len(row)} of {name!r}"
                     )
 
     @classmethod
     def constants(cls) -> Scaling:
-        """Divide rgb and hha by 255 and depth by `DEPTH_SCALE_M`; no offsets."""
-        color = (1 / 255,) * 3
-        return cls({"rgb": color, "depth": (1 / DEPTH_SCALE_M,), "hha": color}, {})
+        """Divide rgb and hha by 255, the others by the constants of this module; no offsets."""
+        return cls(dict(_CONSTANTS), {})
 
     @classmethod
     def none(cls) -> Scaling:
-        """Leave rgb and hha in 0-255 and depth in metres."""
+        """Leave rgb and hha in 0-255, depth and elevation in metres, disparities in pixels."""
         return cls({}, {})
 
     @classmethod
     def from_statistics(cls, store: Store, names: Iterable[str], split: str = "train") -> Scaling:
         """Bring each channel to mean 0 and standard deviation 1 over a split's pixels.
+
+        Of rgb, depth and hha; a store keeps no sums of the others. Disparities and elevation are
+        divided by the constants, which leave the road of transformed disparity and elevation at 0.
 
         Raises
         ------
@@ -75,9 +97,11 @@ class Scaling:
             The split has no frames.
         """
         statistics = channel_statistics(store, split)
-        scale, offset = {}, {}
+        scale: dict[str, tuple[float, ...]] = {}
+        offset: dict[str, tuple[float, ...]] = {}
         for name in names:
-            if name not in ("rgb", "depth", "hha"):
+            if name not in ROWS:
+                scale |= {name: _CONSTANTS[name]} if name in _CONSTANTS else {}
                 continue
             if name not in statistics:
                 raise ArrayError(
@@ -104,7 +128,8 @@ class Scaling:
         Parameters
         ----------
         image : (..., C, H, W) tensor
-            rgb and hha in 0-255, depth in metres, normals as unit vectors.
+            rgb and hha in 0-255, depth and elevation in metres, disparities in pixels, normals as
+            unit vectors; none is 0, or NaN where the integers are signed.
         out : (..., C, H, W) float32
             May not overlap the image.
         """
@@ -113,7 +138,9 @@ class Scaling:
             return
         scale, offset = (torch.from_numpy(row).to(out.device) for row in self.rows(name))
         out.mul_(scale[:, None, None]).add_(offset[:, None, None])
-        if name != "rgb":
+        if name in PLANES and PLANES[name].none:
+            out.masked_fill_(image.isnan(), 0)
+        elif name != "rgb":
             out.masked_fill_((image == 0).all(dim=-3, keepdim=True), 0)
 
 

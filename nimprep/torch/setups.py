@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nimprep.errors import ArrayError
-from nimprep.frame import MODALITIES
+from nimprep.frame import MODALITIES, PLANES
 
-CHANNELS: dict[str, int] = {"rgb": 3, "depth": 1, "normal": 3, "hha": 3}
+CHANNELS: dict[str, int] = {
+    **dict.fromkeys(("rgb", "normal", "hha"), 3),
+    **dict.fromkeys(PLANES, 1),
+}
 """Channels that each modality gives a network."""
 
 SETUPS: dict[str, tuple[str, ...]] = {
@@ -19,13 +22,22 @@ SETUPS: dict[str, tuple[str, ...]] = {
     "rgb+hha": ("rgb", "hha"),
     "nim-depth": ("normal",),
     "nim-rgb+d": ("rgb", "normal"),
+    "disparity": ("disparity",),
+    "t-disparity": ("transformed_disparity",),
+    "elevation": ("elevation",),
+    "rgb+disparity": ("rgb", "disparity"),
+    "rgb+t-disparity": ("rgb", "transformed_disparity"),
+    "rgb+elevation": ("rgb", "elevation"),
 }
-"""The paper's setups: which modalities, in the order of their channels.
+"""The papers' setups: which modalities, in the order of their channels.
 
 "nim-" stands for the normals in place of the depth. Those of two modalities serve data fusion too.
+The first seven are the first paper's, the others the second's, which has rgb, normals and HHA too.
 
-Source: Wang et al., "Applying surface normal information in drivable area and road anomaly
-detection for ground mobile robots", IROS 2020, tables I and II.
+Sources: Wang et al., "Applying surface normal information in drivable area and road anomaly
+detection for ground mobile robots", IROS 2020, tables I and II. Wang et al., "Dynamic fusion module
+evolves drivable area and road anomaly detection: a benchmark and algorithms", IEEE Transactions on
+Cybernetics 52, 2022.
 """
 
 

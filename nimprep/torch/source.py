@@ -12,11 +12,15 @@ from torch import Tensor
 from torch.utils.data import get_worker_info
 
 from nimprep.derive.kernels import samples
-from nimprep.derive.normals import METHODS, estimate_normals
+from nimprep.derive.normals import METHODS, check_method, estimate_normals
 from nimprep.errors import ArrayError, StoreError
-from nimprep.frame import IGNORE_LABEL
+from nimprep.frame import IGNORE_LABEL, PLANES
 from nimprep.store.buffers import empty
-from nimprep.store.frames import depth_from_millimetres, normals_to_integers
+from nimprep.store.frames import (
+    depth_from_millimetres,
+    normals_to_integers,
+    plane_from_integers,
+)
 from nimprep.store.reader import Store
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import Selection
@@ -46,6 +50,8 @@ class FrameSource:
         if normals not in ("cached", *METHODS):
             known = ", ".join(("cached", *METHODS))
             raise ArrayError(f"normals: expected one of {known}, found {normals!r}")
+        if normals != "cached":
+            check_method(normals)  # compiles its kernels before workers start
         self.store = store
         self.normals = normals
         named = (*selection.images, *(["label"] if selection.label else []))
@@ -89,8 +95,9 @@ class FrameSource:
             return
         stored = self.stored(name, frame).reshape(-1)
         scale, offset = scaling.rows(name)
-        if name == "depth":
-            samples.scaled_depth(stored, scale[0], offset[0], planes[0])
+        if name in PLANES:
+            none, steps = PLANES[name].none, PLANES[name].steps
+            samples.scaled_plane(stored, none, steps, scale[0], offset[0], planes[0])
         elif name == "hha":
             samples.scaled_some(stored, scale, offset, planes)
         else:
@@ -103,13 +110,14 @@ class FrameSource:
     def image(self, name: str, frame: int) -> Tensor:
         """Return an image as transforms take it.
 
-        rgb and hha (3, H, W) uint8, depth (1, H, W) float32 metres, normal (3, H, W) float32 unit
-        vectors, label (H, W) int64.
+        rgb and hha (3, H, W) uint8, depth, disparity, transformed_disparity and elevation
+        (1, H, W) float32 as a `Frame` has them, normal (3, H, W) float32 unit vectors, label (H, W)
+        int64.
         """
         if name in ("rgb", "hha"):
             return torch.from_numpy(self.stored(name, frame)).permute(2, 0, 1)
-        if name == "depth":
-            return torch.from_numpy(depth_from_millimetres(self.stored(name, frame)))[None]
+        if name in PLANES:
+            return torch.from_numpy(plane_from_integers(name, self.stored(name, frame)))[None]
         if name == "label":
             label = torch.from_numpy(empty(self.size, np.int64))
             self.label(frame, label)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import nimprep
+from nimprep.frame import MODALITIES
 from tests.fakes import write_gmrp
 
 FRAMES = 10
@@ -19,7 +20,8 @@ def make_store(root: Path, **changes: object) -> Path:
     if not raw.exists():
         write_gmrp(raw, frames=FRAMES)
     target = root / f"{len(list(root.iterdir()))}.zarr"
-    return nimprep.convert(raw, target, camera=CAMERA, **changes).path
+    options = {"camera": CAMERA, "modalities": MODALITIES, **changes}
+    return nimprep.convert(raw, target, **options).path
 
 
 def make_mixed_store(root: Path) -> Path:
@@ -30,4 +32,4 @@ def make_mixed_store(root: Path) -> Path:
     for folder in ("rgb", "depth_u16", "label", "depth_u8"):
         for name in ("000002.png", "000003.png"):
             (small / folder / name).rename(raw / folder / name)
-    return nimprep.convert(raw, root / "mixed.zarr", camera=CAMERA).path
+    return nimprep.convert(raw, root / "mixed.zarr", camera=CAMERA, modalities=MODALITIES).path

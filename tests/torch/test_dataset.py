@@ -8,12 +8,15 @@ from torch.utils.data import DataLoader, DistributedSampler
 
 import nimprep
 from nimprep.errors import ArrayError, StoreError
+from nimprep.frame import MODALITIES, PLANES
 from nimprep.store.statistics import channel_statistics
 from nimprep.torch import StoreDataset, collate
-from nimprep.torch.scaling import DEPTH_SCALE_M, Scaling
+from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import CHANNELS, SETUPS
 from tests.fakes import SIZE
 from tests.torch.stores import FRAMES, make_mixed_store, make_store
+
+SCALES = {"depth": 10, "disparity": 64, "transformed_disparity": 16, "elevation": 2}
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +37,9 @@ def jitter(sample: dict[str, object]) -> dict[str, object]:
 
 def expected(frame: nimprep.Frame, name: str) -> np.ndarray:
     """Return what a network takes of a frame, by the documented constants."""
-    if name == "depth":
-        return frame.depth_m[None] / DEPTH_SCALE_M
+    if name in PLANES:
+        image = frame.depth_m if name == "depth" else getattr(frame, name)
+        return np.nan_to_num(image[None], nan=0) / SCALES[name]
     image = np.moveaxis(getattr(frame, name), 2, 0)
     return image if name == "normal" else image / 255
 
@@ -67,10 +71,14 @@ def test_fusion_gives_the_same_numbers_as_a_pair(path: Path, setup: str) -> None
 
 
 def test_ones_own_mix_has_a_float_tensor_per_name(path: Path) -> None:
-    names = ("rgb", "depth", "normal", "hha", "label")
+    names = MODALITIES
     sample = StoreDataset(path, split=None, modalities=names, normalize="none")[2]
     frame = nimprep.open_store(path)[2]
     assert set(sample) == {*names, "id", "intrinsics", "size"}
+    for name in ("disparity", "transformed_disparity", "elevation"):
+        image = np.nan_to_num(getattr(frame, name), nan=0)
+        assert np.array_equal(sample[name][0].numpy(), image)
+        assert np.ptp(image) > 0.1
     assert torch.equal(sample["depth"][0], torch.from_numpy(frame.depth_m))
     assert np.array_equal(sample["rgb"].numpy(), np.moveaxis(frame.rgb, 2, 0))
     assert np.array_equal(sample["hha"].numpy(), np.moveaxis(frame.hha, 2, 0))
@@ -177,6 +185,18 @@ def test_normalising_by_the_train_split_gives_mean_0_and_spread_1(path: Path) ->
     torch.testing.assert_close(dataset[0]["hha"][:, some], want[:, some].float(), atol=1e-5, rtol=0)
 
 
+def test_disparities_and_elevation_are_divided_by_their_constants_in_any_case(path: Path) -> None:
+    names = ("disparity", "transformed_disparity", "elevation")
+    plain, train = (
+        StoreDataset(path, modalities=("depth", *names), normalize=by)[0]
+        for by in ("constants", "train")
+    )
+    assert not torch.equal(plain["depth"], train["depth"])
+    for name in names:
+        assert torch.equal(plain[name], train[name])
+        assert plain[name].isfinite().all()
+
+
 def test_val_is_normalised_by_the_train_split(path: Path) -> None:
     train, val = (StoreDataset(path, s, "rgb", normalize="train") for s in ("train", "val"))
     assert train.scaling == val.scaling
@@ -196,7 +216,7 @@ def test_a_scaling_of_ones_own_is_taken(path: Path) -> None:
 def test_a_transform_that_changes_nothing_changes_no_bit(
     path: Path, normalize: str, normals: str
 ) -> None:
-    names = ("rgb", "depth", "normal", "hha", "label")
+    names = MODALITIES
     options = {"modalities": names, "normalize": normalize, "normals": normals}
     plain = StoreDataset(path, **options)[1]
     same = StoreDataset(path, transform=lambda sample: sample, **options)[1]
@@ -300,7 +320,7 @@ def test_a_sample_is_the_same_on_any_number_of_workers(path: Path, options: dict
 
 @pytest.mark.parametrize("dtype", ["float32", "stored"])
 def test_a_worker_hands_over_what_the_process_itself_reads(path: Path, dtype: str) -> None:
-    names = ("rgb", "depth", "normal", "label")
+    names = MODALITIES
     dataset = StoreDataset(path, None, modalities=names, dtype=dtype)
     here, there = (list(DataLoader(dataset, batch_size=4, num_workers=n)) for n in (0, 1))
     assert len(here) == len(there) == 3

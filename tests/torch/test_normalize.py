@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from nimprep.frame import MODALITIES
 from nimprep.torch import Normalize, StoreDataset, StoreLoader
 from tests.torch.stores import make_store
 
@@ -20,6 +21,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"setup": "rgb+d", "fusion": True},
         {"setup": "rgb+hha"},
         {"modalities": ("depth", "normal", "hha", "label")},
+        {"setup": "rgb+t-disparity"},
+        {"modalities": ("disparity", "transformed_disparity", "elevation")},
     ],
     ids=lambda choice: next(iter(choice.values())),
 )
@@ -41,16 +44,18 @@ def test_a_stored_batch_becomes_what_the_float_dataset_gives(
 
 
 def test_stored_tensors_have_the_stores_types(path: Path) -> None:
-    names = ("rgb", "depth", "normal", "hha", "label")
-    sample = StoreDataset(path, None, modalities=names, dtype="stored")[0]
-    assert [str(sample[name].dtype) for name in names] == [
-        "torch.uint8",
-        "torch.uint16",
-        "torch.int8",
-        "torch.uint8",
-        "torch.uint8",
-    ]
-    assert [len(sample[name]) for name in names[:4]] == [3, 1, 3, 3]
+    sample = StoreDataset(path, None, modalities=MODALITIES, dtype="stored")[0]
+    assert {name: str(sample[name].dtype).split(".")[1] for name in MODALITIES} == {
+        "rgb": "uint8",
+        "depth": "uint16",
+        "normal": "int8",
+        "hha": "uint8",
+        "disparity": "uint16",
+        "transformed_disparity": "int16",
+        "elevation": "int16",
+        "label": "uint8",
+    }
+    assert [len(sample[name]) for name in MODALITIES[:-1]] == [3, 1, 3, 3, 1, 1, 1]
 
 
 def test_one_sample_can_be_finished_too(path: Path) -> None:

@@ -18,6 +18,12 @@ from nimprep.torch.setups import SETUPS, select
         ("rgb+hha", 6),
         ("nim-depth", 3),
         ("nim-rgb+d", 6),
+        ("disparity", 1),
+        ("t-disparity", 1),
+        ("elevation", 1),
+        ("rgb+disparity", 4),
+        ("rgb+t-disparity", 4),
+        ("rgb+elevation", 4),
     ],
 )
 def test_a_setup_has_the_papers_channels(setup: str, channels: int) -> None:
@@ -25,14 +31,23 @@ def test_a_setup_has_the_papers_channels(setup: str, channels: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("setup", "channels"), [("rgb+d", (3, 1)), ("rgb+hha", (3, 3)), ("nim-rgb+d", (3, 3))]
+    ("setup", "channels"),
+    [
+        ("rgb+d", (3, 1)),
+        ("rgb+hha", (3, 3)),
+        ("nim-rgb+d", (3, 3)),
+        ("rgb+disparity", (3, 1)),
+        ("rgb+t-disparity", (3, 1)),
+        ("rgb+elevation", (3, 1)),
+    ],
 )
 def test_a_fused_setup_keeps_its_two_parts(setup: str, channels: tuple[int, int]) -> None:
     assert select(setup, fusion=True).channels == channels
 
 
-def test_there_are_seven_setups() -> None:
-    assert len(SETUPS) == 7
+def test_there_are_seven_setups_of_the_first_paper_and_six_of_the_second() -> None:
+    assert len(SETUPS) == 13
+    assert list(SETUPS)[:7] == ["rgb", "depth", "hha", "rgb+d", "rgb+hha", "nim-depth", "nim-rgb+d"]
 
 
 def test_ones_own_mix_has_a_tensor_per_name() -> None:
@@ -46,7 +61,7 @@ def test_ones_own_mix_has_a_tensor_per_name() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"setup": "rgbd"}, r"setup: expected one of rgb, .*nim-rgb\+d, found 'rgbd'"),
+        ({"setup": "rgbd"}, r"setup: expected one of rgb, .*nim-rgb\+d, .*found 'rgbd'"),
         ({"setup": "rgb", "fusion": True}, r"fusion: expected .*rgb\+d.*, found 'rgb'"),
         ({"setup": None}, "either a setup or modalities"),
         ({"setup": "rgb", "modalities": ("rgb",)}, "either a setup or modalities"),

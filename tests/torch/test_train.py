@@ -97,7 +97,7 @@ def test_a_run_that_was_cut_short_goes_on_to_the_same_result(train, store, tmp_p
 
 def test_every_setup_and_every_fusion_has_its_row(train, store, tmp_path, capsys):
     seven = run(train, store, tmp_path, "--setups", "all", "--batch", 8, epochs=1)
-    assert [result["name"] for result in seven] == list(train.SETUPS)
+    assert [result["name"] for result in seven] == list(train.SETUPS)[:7]
     assert capsys.readouterr().out.count(" test ") == 7
     three = run(train, store, tmp_path, "--setups", "all", "--fusion", "--batch", 8, epochs=1)
     assert [r["name"] for r in three] == ["rgb+d-fusion", "rgb+hha-fusion", "nim-rgb+d-fusion"]

@@ -9,9 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nimprep import Camera, estimate_normals
+from nimprep import (
+    Camera,
+    RoadProfile,
+    disparity_from_depth,
+    estimate_elevation,
+    estimate_normals,
+    transform_disparity,
+)
 from nimprep.errors import ArrayError
 from nimprep.synthetic import render_frame
+from tests.derive import roads
 from tests.derive.test_normals import angle_deg, plane_depth, unit, with_holes
 
 torch = pytest.importorskip("torch")
@@ -22,8 +30,16 @@ CAMERA = Camera(fx=60.0, fy=70.0, cx=28.3, cy=11.6, width=63, height=45)
 FEW = settings(max_examples=25, deadline=None)
 
 
-def sample_of(depth, camera=CAMERA, seed=0, **more):
+ROAD = np.array([-0.1, -0.9, -np.sqrt(0.18), 1.2])
+"""The plane that elevation counts from: its normal and the camera's height."""
+
+PROFILE = RoadProfile(3.0, (-1.0, 0.05, 0.0), (0.0, 60.0))
+
+
+def sample_of(depth, camera=CAMERA, seed=0, plane=ROAD, profile=PROFILE, **more):
     """Return a sample with every modality, the pixel's own number in rgb, hha and label."""
+    disparity = disparity_from_depth(depth, camera)
+    transformed, _ = transform_disparity(disparity, profile)
     height, width = depth.shape
     v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     normal = estimate_normals(depth, camera)
@@ -33,6 +49,9 @@ def sample_of(depth, camera=CAMERA, seed=0, **more):
         "depth": torch.from_numpy(depth)[None],
         "normal": torch.from_numpy(normal).permute(2, 0, 1),
         "hha": rgb + 1,
+        "disparity": torch.from_numpy(disparity)[None],
+        "transformed_disparity": torch.from_numpy(transformed)[None],
+        "elevation": torch.from_numpy(estimate_elevation(depth, camera, plane))[None],
         "label": (v * width + u) % 3,
         "intrinsics": torch.from_numpy(camera.matrix),
         "size": (height, width),
@@ -61,6 +80,18 @@ def error_deg(sample, margin=2):
     inside = (slice(margin, -margin), slice(margin, -margin))
     there = found.any(axis=-1)[inside]
     return angle_deg(normals_of(sample), found)[inside][there]
+
+
+def same(a, b):
+    """Tell whether two images are equal, NaN and all."""
+    return a.shape == b.shape and bool(((a == b) | ((a != a) & (b != b))).all())
+
+
+def is_padding(name, values):
+    """Tell whether all of it is what stands outside the frame."""
+    if name in ("transformed_disparity", "elevation"):
+        return bool(values.isnan().all())
+    return bool((values == (255 if name == "label" else 0)).all())
 
 
 slopes = st.tuples(st.floats(-0.6, 0.6), st.floats(-0.9, -0.3), st.just(-0.4))
@@ -104,8 +135,9 @@ def test_the_transformed_normals_of_a_street_are_those_of_its_transformed_depth(
 def test_a_flip_mirrors_pixels_n_x_and_the_camera():
     sample = plane_sample()
     flipped = T.flip(sample)
-    for name in ("rgb", "hha", "label", "depth"):
-        assert torch.equal(flipped[name], sample[name].flip(-1))
+    for name in T.IMAGES:
+        if name != "normal":
+            assert same(flipped[name], sample[name].flip(-1))
     mirrored = sample["normal"].flip(-1)
     assert torch.equal(flipped["normal"][0], -mirrored[0])
     assert torch.equal(flipped["normal"][1:], mirrored[1:])
@@ -116,7 +148,7 @@ def test_two_flips_change_nothing():
     sample = plane_sample()
     twice = T.flip(T.flip(sample))
     for name in T.IMAGES:
-        assert torch.equal(twice[name], sample[name])
+        assert same(twice[name], sample[name])
     torch.testing.assert_close(twice["intrinsics"], sample["intrinsics"], rtol=0, atol=1e-12)
 
 
@@ -124,7 +156,7 @@ def test_a_crop_takes_the_window_of_every_image_and_of_the_camera():
     sample = plane_sample()
     cropped = T.crop(sample, 5, 7, 20, 30)
     for name in T.IMAGES:
-        assert torch.equal(cropped[name], sample[name][..., 5:25, 7:37])
+        assert same(cropped[name], sample[name][..., 5:25, 7:37])
     assert camera_of(cropped) == CAMERA.crop(5, 7, 20, 30)
     assert cropped["size"] == (20, 30)
 
@@ -135,8 +167,63 @@ def test_a_crop_beyond_the_frame_pads_at_the_bottom_and_the_right():
     for name in T.IMAGES:
         outside = torch.ones(10, 12, dtype=torch.bool)
         outside[:5, :3] = False
-        assert (cropped[name][..., outside] == (255 if name == "label" else 0)).all()
+        assert is_padding(name, cropped[name][..., outside])
         assert cropped[name].shape[-2:] == (10, 12)
+
+
+any_size = st.tuples(st.integers(1, 120), st.integers(1, 120))
+
+
+def road_scene(seed):
+    """Return depth of a road with boards, and the road's plane."""
+    rng = np.random.default_rng(seed)
+    plane = roads.plane_of(rng.uniform(-10, 10), rng.uniform(5, 20), 1.0)
+    depth, _ = roads.with_boards(roads.road_depth(plane, CAMERA), 0.3, seed, CAMERA)
+    return depth.astype(np.float32), plane
+
+
+@FEW
+@given(st.floats(0, 0.4), any_size, st.integers(0, 5))
+def test_the_transformed_disparity_image_is_that_of_the_transformed_depth(share, size, seed):
+    sample = sample_of(with_holes(road_scene(seed)[0], share, seed))
+    for changed in (T.flip(sample), T.crop(sample, 10, 7, 30, 40), T.resize(sample, *size)):
+        again = disparity_from_depth(changed["depth"][0].numpy(), camera_of(changed))
+        np.testing.assert_allclose(changed["disparity"][0].numpy(), again, rtol=1e-6)
+
+
+@FEW
+@given(st.integers(0, 20), st.floats(0, 0.4))
+def test_the_elevation_of_the_transformed_depth_is_the_transformed_elevation(seed, share):
+    depth, plane = road_scene(seed)
+    sample = sample_of(with_holes(depth, share, seed), plane=plane)
+    mirrored = plane * (-1, 1, 1, 1)
+    # By odd whole numbers a new pixel's centre is an old one's.
+    for changed, road in (
+        (T.flip(sample), mirrored),
+        (T.crop(sample, 10, 7, 30, 40), plane),
+        (T.resize(sample, 15, 21), plane),
+        (T.resize(T.flip(sample), 9, 63), mirrored),
+    ):
+        again = estimate_elevation(changed["depth"][0].numpy(), camera_of(changed), road)
+        np.testing.assert_allclose(changed["elevation"][0].numpy(), again, atol=3e-5)
+
+
+@FEW
+@given(st.integers(0, 20))
+def test_the_road_taken_out_of_the_transformed_disparity_is_the_transformed_road(seed):
+    sample = sample_of(road_scene(seed)[0], profile=None)
+    for changed in (T.flip(sample), T.crop(sample, 4, 2, 41, 60), T.resize(sample, 45, 21)):
+        again, _ = transform_disparity(changed["disparity"][0].numpy())
+        np.testing.assert_allclose(changed["transformed_disparity"][0].numpy(), again, atol=1e-4)
+
+
+def test_a_resize_scales_disparities_with_the_width_and_not_elevation():
+    sample = plane_sample()
+    wide = T.resize(sample, 45, 126)
+    for name, factor in (("disparity", 2), ("transformed_disparity", 2), ("elevation", 1)):
+        assert torch.equal(wide[name][..., ::2], sample[name] * factor)
+    tall = T.resize(sample, 90, 63)
+    assert torch.equal(tall["disparity"][..., ::2, :], sample["disparity"])
 
 
 def test_a_resize_moves_the_camera_with_the_outer_edges():
@@ -224,10 +311,9 @@ def test_padding_stays_at_the_right_and_out_of_everything():
         assert torch.equal(one["intrinsics"], other["intrinsics"])
         height, width = one["size"]
         for name in T.IMAGES:
-            assert torch.equal(one[name], other[name][..., :height, :width])
-            outside = other[name].clone()
-            outside[..., :height, :width] = 255 if name == "label" else 0
-            assert (outside == (255 if name == "label" else 0)).all()
+            assert same(one[name], other[name][..., :height, :width])
+            assert is_padding(name, other[name][..., height:, :])
+            assert is_padding(name, other[name][..., width:])
 
 
 def test_the_same_generator_gives_the_same_sample_and_another_one_another():
@@ -245,7 +331,7 @@ def test_the_same_generator_gives_the_same_sample_and_another_one_another():
     other = transform(plane_sample(seed=2))
     assert torch.equal(torch.random.get_rng_state(), state)
     for name in (*T.IMAGES, "intrinsics"):
-        assert torch.equal(first[name], again[name])
+        assert same(first[name], again[name])
     assert not torch.equal(first["rgb"], other["rgb"])
 
 
@@ -276,7 +362,7 @@ def test_what_is_given_is_not_changed_and_parts_may_be_missing(transform):
     transform(sample)
     assert sample.keys() == twin.keys()
     for name in (*T.IMAGES, "intrinsics"):
-        assert torch.equal(sample[name], twin[name])
+        assert same(sample[name], twin[name])
     alone = transform({"rgb": twin["rgb"]})
     assert "label" not in alone
     assert "intrinsics" not in alone

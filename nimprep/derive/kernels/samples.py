@@ -49,17 +49,19 @@ def scaled_some(stored, scale, offset, out):
 
 
 @njit(
-    ["(uint16[::1], float32, float32, float32[::1])"],
+    [
+        "(uint16[::1], int64, float32, float32, float32, float32[::1])",
+        "(int16[::1], int64, float32, float32, float32, float32[::1])",
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def scaled_depth(stored, scale, offset, out):
-    """Write millimetres as metres times `scale` plus `offset`; 0, none, stays 0."""
-    thousand = np.float32(1000)
+def scaled_plane(stored, none, steps, scale, offset, out):
+    """Write integers over ``steps``, times `scale` plus `offset`; what is `none` becomes 0."""
     for i in range(out.size):
-        value = np.float32(stored[i]) / thousand * scale + offset
-        out[i] = value if stored[i] != 0 else np.float32(0)
+        value = np.float32(stored[i]) / steps * scale + offset
+        out[i] = value if stored[i] != none else np.float32(0)
 
 
 @njit(

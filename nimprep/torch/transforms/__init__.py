@@ -3,18 +3,21 @@
 A *sample* is what a dataset hands to its `transform`, a dict of tensors on the CPU that are not yet
 normalised or stacked, with those of these keys that are wanted:
 
-====================== =========================== ==============================================
-``rgb``, ``hha``       uint8 (3, H, W)
-``depth``              float32 (1, H, W), metres   0 = none
-``normal``             float32 (3, H, W)           unit vectors; (0, 0, 0) = none
-``label``              int64 (H, W)                255 = ignore
-``intrinsics``         float64 (3, 3), pixels      K
-``size``               (height, width)             of the frame itself, at the top left; what lies
-                                                   outside is padding
-``id``                 str
-``generator``          torch.Generator             the sample's own, from which every random number
-                                                   is drawn; absent = torch's global one
-====================== =========================== ==============================================
+========================= ========================= ================================================
+``rgb``, ``hha``          uint8 (3, H, W)
+``depth``                 float32 (1, H, W), metres 0 = none
+``disparity``             float32 (1, H, W), pixels 0 = none
+``transformed_disparity`` float32 (1, H, W), pixels 0 on the road; NaN = none
+``elevation``             float32 (1, H, W), metres 0 on the road; NaN = none
+``normal``                float32 (3, H, W)         unit vectors; (0, 0, 0) = none
+``label``                 int64 (H, W)              255 = ignore
+``intrinsics``            float64 (3, 3), pixels    K
+``size``                  (height, width)           of the frame itself, at the top left; what lies
+                                                    outside is padding
+``id``                    str
+``generator``             torch.Generator           the sample's own, from which every random number
+                                                    is drawn; absent = torch's global one
+========================= ========================= ================================================
 
 A transform is a callable from such a dict to such a dict; keys it does not know pass through, and
 what it is given is not changed in place. Any callable of one's own may stand among them::

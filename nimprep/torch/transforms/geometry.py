@@ -10,12 +10,18 @@ from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
 from nimprep.errors import ArrayError
-from nimprep.frame import IGNORE_LABEL, MODALITIES
+from nimprep.frame import IGNORE_LABEL, MODALITIES, PLANES
 
 Sample = dict[str, Any]
 
 IMAGES = MODALITIES
 """The keys of a sample that are images; all of one size."""
+
+
+_PADDING: dict[str, float] = {
+    "label": IGNORE_LABEL,
+    **{name: float("nan") for name, plane in PLANES.items() if plane.none},
+}
 
 
 def frame_size(sample: Sample) -> tuple[int, int]:
@@ -53,8 +59,8 @@ def _with_camera(sample: Sample, matrix: list[list[float]]) -> Sample:
 def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample:
     """Cut out the window that starts at pixel (left, top) of the frame; the camera moves along.
 
-    Where the window leaves the frame at the bottom or the right, the rest is padding: 0, and 255
-    for labels. `size` becomes that of the part inside.
+    Where the window leaves the frame at the bottom or the right, the rest is padding: 0, 255 for
+    labels, NaN for transformed disparity and elevation. `size` becomes that of the part inside.
 
     Raises
     ------
@@ -74,7 +80,7 @@ def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample
         inside = image[..., top:bottom, left:right]
         if not any(beyond):
             return inside
-        return pad(inside, beyond, value=IGNORE_LABEL if name == "label" else 0)
+        return pad(inside, beyond, value=_PADDING.get(name, 0))
 
     result = {**_with_images(sample, cut), "size": (bottom - top, right - left)}
     return _with_camera(result, [[1, 0, -left], [0, 1, -top], [0, 0, 1]])
@@ -83,8 +89,8 @@ def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample
 def flip(sample: Sample) -> Sample:
     """Mirror the frame left to right: n_x changes sign and cx becomes W - 1 - cx.
 
-    HHA has no direction across the image, so it is mirrored like a colour. Padding stays at the
-    right, and W is the frame's own width.
+    HHA, disparities and elevation have no direction across the image, so they are mirrored like a
+    colour. Padding stays at the right, and W is the frame's own width.
     """
     _, width = frame_size(sample)
 
@@ -106,11 +112,12 @@ def flip(sample: Sample) -> Sample:
 def resize(sample: Sample, height: int, width: int) -> Sample:
     """Scale the frame to (height, width), outer edges aligned; padding is dropped.
 
-    Depth and label take the nearest pixel. Colours and HHA are interpolated linearly, over the
-    area where the image shrinks, normals likewise and then brought to unit length. HHA and normals
-    are interpolated from the pixels that have them and are there where the nearest pixel has them,
-    so a normal is exactly where depth is if it was before. K is scaled with its edges aligned; a
-    different scale in x and y changes the camera, not the normals.
+    Depth, disparities, elevation and label take the nearest pixel; disparities count pixels of the
+    image's width and are scaled with it, as fx is. Colours and HHA are interpolated linearly, over
+    the area where the image shrinks, normals likewise and then brought to unit length. HHA and
+    normals are interpolated from the pixels that have them and are there where the nearest pixel
+    has them, so a normal is exactly where depth is if it was before. K is scaled with its edges
+    aligned; a different scale in x and y changes the camera, not the normals.
 
     Notes
     -----
@@ -137,6 +144,8 @@ def resize(sample: Sample, height: int, width: int) -> Sample:
             return _rounded(_linear_where_known(image.float(), nearest, height, width))
         if name == "normal":
             return _unit_normals(_linear_where_known(image, nearest, height, width), nearest)
+        if name in PLANES and PLANES[name].units == "pixel":
+            return nearest * (width / old_width)
         return nearest
 
     result = {**_with_images(sample, scale), "size": (height, width)}

@@ -1,0 +1,105 @@
+"""Disparity from depth, and depth from disparity."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.camera import Camera
+from nimprep.derive.depth import checked_depth, checked_plane
+from nimprep.derive.kernels.planes import reciprocal
+from nimprep.derive.threads import run_rows
+from nimprep.errors import ArrayError
+from nimprep.frame import VIRTUAL_BASELINE_M
+
+
+def disparity_from_depth(
+    depth_m: npt.ArrayLike,
+    camera: Camera,
+    baseline_m: float = VIRTUAL_BASELINE_M,
+    num_threads: int | None = None,
+) -> npt.NDArray[np.float32]:
+    """Return the disparity d = fx * baseline_m / Z of a rectified stereo pair.
+
+    On a plane it is linear in the pixel coordinates. `depth_from_disparity` undoes it.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating array, metres
+        Depth along z; 0 or NaN = none.
+    camera : Camera
+        The pair's left one, of the image's size.
+    baseline_m : float
+        Distance between the two cameras, metres; by default a virtual one, `VIRTUAL_BASELINE_M`.
+    num_threads : int, optional
+        None = all cores; 1 = the calling thread alone. The result is the same.
+
+    Returns
+    -------
+    (H, W) float32, pixels
+        By how much farther left the right camera sees the point; 0 = none, exactly where the depth
+        is none.
+
+    Raises
+    ------
+    ArrayError
+        The depth is no floating (H, W) array of the camera's size or holds negative or infinite
+        values; the baseline is not positive.
+    """
+    depth = checked_depth(depth_m, camera)
+    return _divided(_reach(camera, baseline_m), depth, num_threads)
+
+
+def depth_from_disparity(
+    disparity: npt.ArrayLike,
+    camera: Camera,
+    baseline_m: float = VIRTUAL_BASELINE_M,
+    num_threads: int | None = None,
+) -> npt.NDArray[np.float32]:
+    """Return the depth Z = fx * baseline_m / d; the inverse of `disparity_from_depth`.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating array, pixels
+        0 or NaN = none.
+    camera : Camera
+        The pair's left one, of the image's size.
+    baseline_m : float
+        The same as there.
+    num_threads : int, optional
+        As there.
+
+    Returns
+    -------
+    (H, W) float32, metres
+        0 = none.
+
+    Raises
+    ------
+    ArrayError
+        As there, of the disparity.
+    """
+    values = checked_plane(disparity, "disparity", "pixels", camera)
+    return _divided(_reach(camera, baseline_m), values, num_threads)
+
+
+def _reach(camera: Camera, baseline_m: Any) -> float:
+    baseline = float(baseline_m)
+    if not 0 < baseline < math.inf:
+        raise ArrayError(f"baseline_m: expected a positive number of metres, found {baseline:g}")
+    return camera.fx * baseline
+
+
+def _divided(
+    reach: float, values: npt.NDArray[np.float32], num_threads: int | None
+) -> npt.NDArray[np.float32]:
+    out = np.empty(values.shape, np.float32)
+
+    def run(first: int, last: int) -> None:
+        reciprocal(values, first, last, reach, out)
+
+    run_rows(run, values.shape, num_threads)
+    return out

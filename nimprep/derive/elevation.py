@@ -1,0 +1,148 @@
+"""Height over the road's plane."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.camera import Camera
+from nimprep.derive.depth import checked_depth
+from nimprep.derive.kernels.planes import heights
+from nimprep.derive.road import find_road, grid_points
+from nimprep.derive.threads import run_rows
+from nimprep.errors import ArrayError
+
+
+def estimate_road_plane(depth_m: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:
+    """Fit the road's plane to a depth image in which up to half of the road may be hidden.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating array, metres
+        0 or NaN = none.
+    camera : Camera
+        Of the image's size.
+
+    Returns
+    -------
+    (4,) float64
+        n_x, n_y, n_z and h: the unit normal in the camera frame (x right, y down, z forward) that
+        points up from the road to the camera, and the camera's height over the road, metres. A
+        point P lies n·P + h above the road.
+
+    Raises
+    ------
+    ArrayError
+        The depth is no floating (H, W) array of the camera's size or holds negative or infinite
+        values; or there is no road in it, as `estimate_road_profile` says.
+
+    Notes
+    -----
+    A plane's inverse depth is linear in u and v, so that this is the fit of `estimate_road_profile`
+    without the curvature.
+    """
+    plane = find_road_plane(checked_depth(depth_m, camera), camera)
+    if plane is None:
+        raise ArrayError("depth_m: expected a road in it, found none; give its plane")
+    return plane
+
+
+def find_road_plane(
+    depth_m: npt.NDArray[np.float32], camera: Camera
+) -> npt.NDArray[np.float64] | None:
+    """Fit as `estimate_road_plane` does to checked depth; None = no road."""
+    points = grid_points(depth_m, inverse=True)
+    road = find_road(points, curved=False)
+    if road is None:
+        return None
+    # 1/Z = along · (x/z, y/z, 1), so that along · P = 1 on the road.
+    per_u, per_v = road.tilt * road.levels[1] / points.unit, road.levels[1] / points.unit
+    u, v = camera.cx - points.middle[0], camera.cy - points.middle[1]
+    along = np.array([per_u * camera.fx, per_v * camera.fy, road.levels[0] + per_u * u + per_v * v])
+    length = float(np.linalg.norm(along))
+    return np.append(-along, 1) / length
+
+
+def road_plane(cam_to_road: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the road's plane, (4,) as of `estimate_road_plane`, by calibration.
+
+    Parameters
+    ----------
+    cam_to_road : (3, 4) array_like
+        Transform from the camera frame to the road frame, metres; the road is where the road
+        frame's y is 0, and y points down.
+
+    Raises
+    ------
+    ArrayError
+        Another shape, values that are not finite, or no rotation.
+    """
+    transform = np.asarray(cam_to_road, dtype=np.float64)
+    if transform.shape != (3, 4) or not np.isfinite(transform).all():
+        raise ArrayError(
+            f"cam_to_road: expected (3, 4) finite numbers, found shape {transform.shape}"
+        )
+    return _checked(-transform[1], "cam_to_road")
+
+
+def estimate_elevation(
+    depth_m: npt.ArrayLike,
+    camera: Camera,
+    plane: npt.ArrayLike | None = None,
+    num_threads: int | None = None,
+) -> npt.NDArray[np.float32]:
+    """Return the height over the road's plane at every pixel.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating array, metres
+        0 or NaN = none.
+    camera : Camera
+        Of the image's size.
+    plane : (4,) array_like, optional
+        The road's, as `estimate_road_plane` returns it, which is called where none is given, or
+        `road_plane` of a calibration.
+    num_threads : int, optional
+        None = all cores; 1 = the calling thread alone. The result is the same.
+
+    Returns
+    -------
+    (H, W) float32, metres
+        n·P + h: positive above the road, negative in potholes; NaN = none, exactly where the depth
+        is none. With plane and camera it gives the depth back where a ray is not level:
+        Z = (e - h) / (n · (x/z, y/z, 1)).
+
+    Raises
+    ------
+    ArrayError
+        As `estimate_road_plane`; or `plane` is no unit normal and height.
+
+    References
+    ----------
+    As an input of networks: Wang, Fan, Sun and Liu, "Dynamic fusion module evolves drivable area
+    and road anomaly detection: a benchmark and algorithms", IEEE Transactions on Cybernetics 52,
+    2022.
+    """
+    depth = checked_depth(depth_m, camera)
+    found = estimate_road_plane(depth, camera) if plane is None else _checked(plane, "plane")
+    numbers, plane_numbers = (camera.fx, camera.fy, camera.cx, camera.cy), tuple(found.tolist())
+    out = np.empty(depth.shape, np.float32)
+
+    def run(first: int, last: int) -> None:
+        heights(depth, first, last, numbers, plane_numbers, out)
+
+    run_rows(run, depth.shape, num_threads)
+    return out
+
+
+def _checked(plane: Any, name: str) -> npt.NDArray[np.float64]:
+    values = np.asarray(plane, dtype=np.float64)
+    if values.shape != (4,) or not np.isfinite(values).all():
+        raise ArrayError(f"{name}: expected 4 finite numbers, found shape {values.shape}")
+    length = math.sqrt(float(values[:3] @ values[:3]))
+    if abs(length - 1) > 1e-3:
+        raise ArrayError(f"{name}: expected a unit normal, found one of length {length:g}")
+    return values

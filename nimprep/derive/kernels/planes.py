@@ -1,0 +1,149 @@
+"""One number per pixel: disparity, disparity over the road's profile, height over the road.
+
+All walk rows and write each pixel once. Depth and disparity 0 = none; elsewhere none is NaN.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float32, float64, int64, njit, types, void
+
+_PLANE = types.Array(float32, 2, "C", readonly=True)
+
+
+@njit(
+    void(_PLANE, int64, int64, float64, float32[:, ::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def reciprocal(values, first, last, factor, out):
+    """Write factor / value of rows first..last-1, and 0 where the value is 0."""
+    numerator = np.float32(factor)
+    for v in range(first, last):
+        for u in range(values.shape[1]):
+            value = values[v, u]
+            out[v, u] = numerator / value if value > 0 else np.float32(0)
+
+
+@njit(
+    void(
+        _PLANE,
+        int64,
+        int64,
+        types.UniTuple(float64, 4),
+        types.UniTuple(float64, 4),
+        float32[:, ::1],
+    ),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def heights(depth, first, last, camera, plane, out):
+    """Write n·P + h of rows first..last-1, NaN where there is no depth.
+
+    ``camera`` holds fx, fy, cx, cy; ``plane`` n_x, n_y, n_z and h.
+    """
+    fx, fy, cx, cy = camera
+    across = plane[0] / fx
+    none = np.float32(np.nan)
+    for v in range(first, last):
+        start = plane[1] * (v - cy) / fy + plane[2] - across * cx
+        for u in range(depth.shape[1]):
+            z = depth[v, u]
+            height = np.float32(z * (start + across * u) + plane[3])
+            out[v, u] = height if z > 0 else none
+
+
+@njit(
+    float64(float64, types.UniTuple(float64, 3), types.UniTuple(float64, 2)),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def road_level(s, coefficients, span):
+    """Return the road's disparity at s: a parabola within the span, its tangents beyond it."""
+    c0, c1, c2 = coefficients
+    inside = min(max(s, span[0]), span[1])
+    level = c0 + (c1 + c2 * inside) * inside + (c1 + 2 * c2 * inside) * (s - inside)
+    return max(level, 0.0)
+
+
+@njit(
+    void(
+        _PLANE,
+        int64,
+        int64,
+        types.UniTuple(float64, 2),
+        types.UniTuple(float64, 3),
+        types.UniTuple(float64, 2),
+        float32[:, ::1],
+    ),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def over_profile(disparity, first, last, turn, coefficients, span, out):
+    """Write disparity less the road's of rows first..last-1, NaN where there is none.
+
+    ``turn`` holds the cosine and the sine of the roll.
+    """
+    none = np.float32(np.nan)
+    for v in range(first, last):
+        for u in range(disparity.shape[1]):
+            level = road_level(v * turn[0] + u * turn[1], coefficients, span)
+            value = disparity[v, u]
+            out[v, u] = np.float32(value - level) if value > 0 else none
+
+
+@njit(
+    void(
+        _PLANE,
+        int64,
+        int64,
+        types.UniTuple(float64, 2),
+        types.UniTuple(float64, 3),
+        types.UniTuple(float64, 2),
+        float32[:, ::1],
+    ),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def under_profile(transformed, first, last, turn, coefficients, span, out):
+    """Undo `over_profile`: write the disparity of rows first..last-1, 0 where there is none."""
+    for v in range(first, last):
+        for u in range(transformed.shape[1]):
+            level = road_level(v * turn[0] + u * turn[1], coefficients, span)
+            value = transformed[v, u]
+            out[v, u] = np.float32(value + level) if not np.isnan(value) else np.float32(0)
+
+
+@njit(
+    void(_PLANE, float64, types.Array(types.uint16, 2, "C")),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def positives_to_integers(values, steps, out):
+    """Round values times ``steps`` into 1..65535; 0 stays."""
+    for v in range(values.shape[0]):
+        for u in range(values.shape[1]):
+            step = min(max(np.rint(values[v, u] * steps), 1.0), 65535.0)
+            out[v, u] = np.uint16(step) if values[v, u] > 0 else np.uint16(0)
+
+
+@njit(
+    void(_PLANE, float64, types.Array(types.int16, 2, "C")),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def signed_to_integers(values, steps, out):
+    """Round values times ``steps`` into -32767..32767; NaN becomes -32768."""
+    for v in range(values.shape[0]):
+        for u in range(values.shape[1]):
+            value = values[v, u]
+            some = not np.isnan(value)
+            step = min(max(np.rint((value if some else np.float32(0)) * steps), -32767.0), 32767.0)
+            out[v, u] = np.int16(step) if some else np.int16(-32768)
