@@ -12,14 +12,16 @@ PACKAGE = Path(nimprep.__file__).parent
 
 LAYERS = [
     ["errors"],
-    ["schema", "camera", "frame"],
+    ["files", "camera", "frame"],
+    ["schema"],
     ["images", "splits", "metrics"],
     ["derive"],
     ["kitti"],
     ["readers"],
     ["store"],
     ["conversion"],
-    ["synthetic", "torch", "evaluation"],
+    ["report"],
+    ["synthetic", "torch", "evaluation", "export"],
     ["cli"],
     ["__main__"],
 ]

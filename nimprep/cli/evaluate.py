@@ -4,54 +4,133 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from nimprep.cli.options import json_option, progress_bars, quiet_option
 
+if TYPE_CHECKING:
+    from nimprep.evaluation import Comparison
+
+FORMATS = ("text", "json", "markdown", "latex")
+METRICS = ("f_score", "iou", "precision", "recall")
+
+
+def _metrics(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(name.strip() for name in value.split(",")))
+    for name in names:
+        if name not in METRICS:
+            raise click.BadParameter(f"expected some of {', '.join(METRICS)}, found {name!r}")
+    return names
+
+
+def _folders(
+    ctx: click.Context, param: click.Parameter, values: tuple[str, ...]
+) -> list[Path] | dict[str, Path]:
+    """Return the folders, by name where each has one: NAME=FOLDER, unless a folder is so called."""
+    pairs = [_pair(value) for value in values]
+    names = [name for name, _ in pairs]
+    if not any(names):
+        return [Path(folder) for _, folder in pairs]
+    if not all(names) or len(set(names)) < len(names):
+        raise click.BadParameter("expected a name of its own for each folder, or for none")
+    return {name: Path(folder) for name, (_, folder) in zip(names, pairs, strict=True)}
+
+
+def _pair(value: str) -> tuple[str, str]:
+    name, equals, folder = value.partition("=")
+    if not equals or "/" in name or Path(value).exists():
+        return "", value
+    return name.strip(), folder
+
 
 @click.command()
-@click.argument("store", type=click.Path(path_type=Path))
-@click.argument("predictions", type=click.Path(path_type=Path))
+@click.argument("store", type=click.Path())
+@click.argument(
+    "predictions", nargs=-1, required=True, callback=_folders, metavar="[NAME=]PREDICTIONS..."
+)
 @click.option(
     "--split",
     type=click.Choice(["train", "val", "test"]),
     help="Whose frames are predicted; default: the split that all predictions are of, "
     "or the whole store where they are of several.",
 )
+@click.option(
+    "--format",
+    "style",
+    type=click.Choice(FORMATS),
+    help="How scores are printed; markdown and latex give the table of methods. Default: text.",
+)
 @json_option
+@click.option(
+    "--metrics",
+    callback=_metrics,
+    default=",".join(METRICS),
+    show_default=True,
+    help="Columns of the tables; JSON has them all.",
+)
+@click.option("--html", type=click.Path(path_type=Path), help="Write a page with overlays too.")
+@click.option("--overwrite", is_flag=True, help="Replace the page where it is there already.")
+@click.option(
+    "--worst",
+    type=click.IntRange(0),
+    default=10,
+    show_default=True,
+    help="How many of the worst frames are listed, and drawn on the page.",
+)
 @quiet_option
-def evaluate(store: Path, predictions: Path, split: str | None, as_json: bool, quiet: bool) -> None:
-    """Score the folder PREDICTIONS against the labels of STORE.
+def evaluate(
+    store: str,
+    predictions: list[Path] | dict[str, Path],
+    split: str | None,
+    style: str | None,
+    as_json: bool,
+    metrics: tuple[str, ...],
+    html: Path | None,
+    overwrite: bool,
+    worst: int,
+    quiet: bool,
+) -> None:
+    """Score folders of PREDICTIONS against the labels of STORE.
 
-    A prediction is <frame id>.png (class ids, 8 bits) or <frame id>.npy (scores, (C, H, W)).
-    Pixels labelled 255 are left out; the mean is over the classes that are not background (0).
+    A prediction is FRAME_ID.png (class ids, 8-bit grey) or FRAME_ID.npy (floating scores,
+    (C, H, W), a plane for each of the store's classes; the highest wins). Each frame of the split
+    needs one, and no other frame may have one. Pixels labelled 255 are left out; the mean is over
+    the classes that are not background (0).
+
+    Several folders give one table of methods, the best of each column marked (* in text, bold
+    elsewhere). A method is called by its folder; NAME=FOLDER gives it another name.
     """
-    from nimprep.evaluation import evaluate_predictions
+    if as_json and style not in (None, "json"):
+        raise click.UsageError(f"expected --json or --format, found both (--format {style})")
+    from nimprep.evaluation import compare_predictions
 
-    found = evaluate_predictions(store, predictions, split, progress_bars(quiet))
-    document = found.to_dict()
-    click.echo(json.dumps(document, indent=2) if as_json else _score_table(document))
+    if html is not None:
+        from nimprep.report.page import check_libraries, check_target
+
+        check_libraries()
+        check_target(html, Path(store), overwrite=overwrite)
+    progress = progress_bars(quiet)
+    found = compare_predictions(store, predictions, split, progress=progress)
+    if html is not None:
+        from nimprep.evaluation.page import write_page
+
+        write_page(html, store, found, worst=worst, progress=progress)
+    click.echo(_written(found, "json" if as_json else style or "text", metrics, worst))
 
 
-def _score_table(document: dict[str, Any]) -> str:
-    """Return a row per class and their mean, and below it the confusion matrix."""
-    heads = {"F-score": "f_score", "IoU": "iou", "precision": "precision", "recall": "recall"}
-    rows = [*document["classes"], {"name": "mean, no background", **document["mean"]}]
-    corner = "label \\ prediction"
-    wide = max(len(text) for text in (corner, *(row["name"] for row in rows)))
-    of = f"split {document['split']}" if document["split"] else "the whole store"
-    lines = [f"{document['frames']} frames of {of}, {document['pixels']} pixels counted", ""]
-    lines.append(" " * wide + "".join(f"{head:>11}" for head in heads))
-    for row in rows:
-        values = (row[name] for name in heads.values())
-        cells = "".join(f"{'-' if v is None else format(v, '.4f'):>11}" for v in values)
-        lines.append(f"{row['name']:<{wide}}{cells}")
-    names = [row["name"] for row in document["classes"]]
-    lines += ["", f"{corner:<{wide}}" + "".join(f"  {name:>12}" for name in names)]
-    for name, counts in zip(names, document["confusion"], strict=True):
-        widths = (max(len(other), 12) for other in names)
-        numbers = "".join(f"  {n:>{w}}" for n, w in zip(counts, widths, strict=True))
-        lines.append(f"{name:<{wide}}{numbers}")
-    return "\n".join(lines)
+def _written(found: Comparison, style: str, metrics: tuple[str, ...], worst: int) -> str:
+    from nimprep.evaluation.markup import comparison_latex, comparison_markdown
+    from nimprep.evaluation.text import comparison_text, evaluation_text
+
+    alone = len(found.methods) == 1
+    if style == "json":
+        return json.dumps(found.first.to_dict() if alone else found.to_dict(), indent=2)
+    if style == "markdown":
+        return comparison_markdown(found.table(metrics))
+    if style == "latex":
+        return comparison_latex(found.table(metrics))
+    return (
+        evaluation_text(found.first, metrics, worst) if alone else comparison_text(found, metrics)
+    )

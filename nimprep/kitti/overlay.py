@@ -76,7 +76,26 @@ def draw_overlay(
             raise ArrayError(
                 f"{name}: expected the image's size {image.shape[:2]}, found {array.shape}"
             )
-    called = confidence / 255 >= threshold
+    return draw_outcomes(image, confidence / 255 >= threshold, truth)
+
+
+def draw_outcomes(
+    image: npt.NDArray[np.uint8], called: npt.NDArray[np.bool_], truth: GroundTruth
+) -> npt.NDArray[np.uint8]:
+    """Colour the evaluated pixels of a photograph by what became of them, half transparent.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, R, G, B
+    called : (H, W) bool
+        Predicted as positive.
+    truth : GroundTruth, (H, W)
+
+    Returns
+    -------
+    (H, W, 3) uint8, R, G, B
+        True positives green, false negatives red, false positives blue; all else as it was.
+    """
     outcomes = (
         (called & truth.positive, TRUE_POSITIVE),
         (~called & truth.positive, FALSE_NEGATIVE),
@@ -84,10 +103,16 @@ def draw_overlay(
     )
     drawn = image.copy()
     for mask, colour in outcomes:
-        where = mask & truth.evaluated
-        # Halving each first keeps the sum in 8 bits.
-        drawn[where] = image[where] // 2 + np.array(colour, np.uint8) // 2
+        tint(drawn, mask & truth.evaluated, colour)
     return drawn
+
+
+def tint(
+    image: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_], colour: tuple[int, int, int]
+) -> None:
+    """Mix half of a colour into the pixels of a mask, in place."""
+    # Halving each first keeps the sum in 8 bits.
+    image[mask] = image[mask] // 2 + np.array(colour, np.uint8) // 2
 
 
 def write_overlays(

@@ -138,6 +138,18 @@ def save(array):
     return lambda path: np.save(path.with_suffix(".npy"), array)
 
 
+def claim(shape):
+    """Write a header that claims much more than the file holds."""
+
+    def write(path):
+        with path.with_suffix(".npy").open("wb") as file:
+            header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(file, header)
+            file.write(bytes(64))
+
+    return write
+
+
 def image(array):
     return lambda path: cv2.imwrite(str(path), array)
 
@@ -157,6 +169,7 @@ def image(array):
         (save(np.full((3, 24, 32), np.nan, np.float32)), "found NaN"),
         (save(np.array([{}], dtype=object)), "expected a NumPy array file"),
         (lambda path: path.with_suffix(".npy").write_bytes(b""), "expected a NumPy array file"),
+        (claim((3, 100_000, 1_000_000)), "expected a NumPy array file"),
     ],
 )
 def test_a_bad_prediction_is_refused_by_name(gmrp, tmp_path, write, message):
@@ -178,6 +191,14 @@ def test_what_is_no_folder_of_predictions_or_has_two_of_a_frame_is_refused(gmrp,
     np.save(folder / f"{frame_id}.npy", np.zeros((3, *SIZE), np.float32))
     with pytest.raises(LayoutError, match=f"one prediction of frame '{frame_id}'"):
         evaluate_predictions(gmrp, folder)
+
+
+def test_labels_that_are_no_class_are_refused(gmrp, tmp_path):
+    store = nimprep.open_store(gmrp.path)
+    store.classes = (gmrp.classes[0], gmrp.classes[2])
+    folder = write_predictions(store, tmp_path, "test", np.zeros_like)
+    with pytest.raises(StoreError, match=r"expected labels \[0, 2\] and 255, found others"):
+        evaluate_predictions(store, folder)
 
 
 def test_a_store_without_labels_is_refused(tmp_path):

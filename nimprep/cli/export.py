@@ -1,0 +1,54 @@
+"""nimprep export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nimprep.cli.options import progress_bars, quiet_option
+
+
+@click.command()
+@click.argument("store", type=click.Path())
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["png", "rerun", "npz"]),
+    required=True,
+    help="png: GMRP's raw layout; rerun: one .rrd recording; npz: one archive per frame.",
+)
+@click.option(
+    "--frames",
+    multiple=True,
+    metavar="WHICH",
+    help="Ids, splits (train, val, test, none) and ranges START:END of frame numbers from 0, END "
+    "left out, joined by commas; may be given several times. Default: all.",
+)
+@quiet_option
+def export(store: str, out: Path, form: Any, frames: tuple[str, ...], quiet: bool) -> None:
+    """Write frames of STORE to the new or empty folder OUT; with rerun, to the new file OUT.
+
+    \b
+    png    rgb/ depth_u16/ label/ as GMRP ships them, each frame at its own size, with cameras,
+           split.json and description.json, so that
+             nimprep convert OUT NEW.zarr --description OUT/description.json
+                                          --split-file OUT/split.json
+           gives the same images, labels, cameras and splits again.
+    rerun  camera, points (at most 200,000 a frame), images and labels; "rerun OUT" shows it.
+           Needs the extra: pip install 'nimprep[rerun]'.
+    npz    every modality, in float units where it has any: rgb, depth_m (metres, 0 = none),
+           normal (unit vectors), hha, label ...; K, baseline_m, cam_to_road, gravity (NaN =
+           none); id, split, group.
+
+    \b
+    --frames test         the test split
+    --frames 0:10,20:     frames 0 to 9, and from 20 on
+    --frames 000003       the frame of this id
+    """
+    from nimprep.export import export_frames
+
+    ids = export_frames(store, out, form, frames or None, progress_bars(quiet))
+    click.echo(f"{out}: {len(ids)} frames")

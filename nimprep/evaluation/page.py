@@ -1,0 +1,138 @@
+"""Scores, confusion, scenes and worst frames as one page of HTML that needs nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nimprep.evaluation.comparison import DIGITS, HEADS, Comparison, Method
+from nimprep.evaluation.overlays import draw_frames, worst_frames
+from nimprep.evaluation.scores import MEASURES, Evaluation
+from nimprep.evaluation.text import printable
+from nimprep.kitti.parallel import Progress
+from nimprep.report.page import render_page
+from nimprep.report.page import write_page as write_file
+from nimprep.store.reader import Store, open_store
+
+
+def write_page(
+    out: Path,
+    store: Store | Path | str,
+    found: Comparison,
+    worst: int = 10,
+    progress: Progress | None = None,
+) -> None:
+    """Write the page; what is at `out` is replaced by it.
+
+    Parameters
+    ----------
+    out : path
+    store : Store or path
+        That the predictions were scored against.
+    found : Comparison
+    worst : int
+        How many of the worst frames are drawn.
+
+    Raises
+    ------
+    NimprepError
+        The extra `report` is not installed, a file cannot be read any more, or `out` not written.
+    """
+    store = store if isinstance(store, Store) else open_store(store)
+    ids = worst_frames(found)
+    drawn = draw_frames(store, found, ids[:worst], progress)
+    context = {
+        "name": printable(Path(store.path).name),
+        "dataset": printable(str(store.attributes["dataset"])),
+        "split": found.first.split,
+        "frames": len(found.first.frames),
+        "pixels": int(found.first.confusion.sum()),
+        "heads": list(HEADS.values()),
+        "digits": DIGITS,
+        "table": _table(found) if len(found.methods) > 1 else None,
+        "methods": [_method(method) for method in found.methods],
+        "groups": _groups(found),
+        "worst": [_worst(found, frame_id, drawn[frame_id]) for frame_id in drawn],
+        "by_frame": [_row(found, frame_id) for frame_id in ids],
+    }
+    write_file(out, render_page("evaluation.html.j2", context))
+
+
+def _score(value: float) -> str:
+    return "–" if value != value else f"{value:.{DIGITS}f}"
+
+
+def _table(found: Comparison) -> dict[str, Any]:
+    table = found.table()
+    return {
+        "blocks": [printable(block) for block in table.blocks],
+        "rows": [(printable(name), cells) for name, cells in table.rows],
+    }
+
+
+def _method(method: Method) -> dict[str, Any]:
+    """Return a method's scores by class and its confusion matrix, with each row's shares."""
+    evaluation = method.evaluation
+    names = [printable(c.name) for c in evaluation.classes]
+    scores = [[_score(float(evaluation.scores[m][i])) for m in MEASURES] for i in range(len(names))]
+    counts = evaluation.confusion
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    return {
+        "name": printable(method.name),
+        "predictions": printable(str(method.predictions)),
+        "rows": [*zip(names, scores, strict=True), ("mean, no background", _means(evaluation))],
+        "classes": names,
+        "confusion": [
+            (name, list(zip(row.tolist(), part.tolist(), strict=True)))
+            for name, row, part in zip(names, counts, shares, strict=True)
+        ],
+    }
+
+
+def _means(evaluation: Evaluation) -> list[str]:
+    return [_score(evaluation.mean[m]) for m in MEASURES]
+
+
+def _ious(evaluations: list[Evaluation]) -> list[str]:
+    return [_score(evaluation.mean["iou"]) for evaluation in evaluations]
+
+
+def _groups(found: Comparison) -> list[dict[str, Any]]:
+    """Return a row per scene: of one method all measures' means, of several each one's mean IoU."""
+    alone = len(found.methods) == 1
+    rows = []
+    for group, part in found.first.by_group.items():
+        parts = [method.evaluation.by_group[group] for method in found.methods]
+        rows.append(
+            {
+                "group": printable(group) or "(no group)",
+                "frames": len(part.frames),
+                "pixels": int(part.confusion.sum()),
+                "scores": _means(part) if alone else _ious(parts),
+            }
+        )
+    return rows
+
+
+def _row(found: Comparison, frame_id: str) -> dict[str, Any]:
+    parts = [method.evaluation.by_frame[frame_id] for method in found.methods]
+    return {
+        "id": printable(frame_id),
+        "group": printable(found.first.groups.get(frame_id, "")),
+        "scores": _means(parts[0]) if len(parts) == 1 else _ious(parts),
+    }
+
+
+def _worst(found: Comparison, frame_id: str, overlays: list[Any]) -> dict[str, Any]:
+    pictures = [
+        {
+            "method": printable(overlay.method) if len(found.methods) > 1 else "",
+            "class_name": printable(overlay.class_name),
+            "iou": "–" if overlay.iou is None else _score(overlay.iou),
+            "uri": overlay.uri,
+        }
+        for overlay in overlays
+    ]
+    return {**_row(found, frame_id), "pictures": pictures}

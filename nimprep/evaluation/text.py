@@ -1,0 +1,127 @@
+"""Scores as plain text for a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from nimprep.evaluation.comparison import DIGITS, HEADS, MEAN, Comparison, Table
+from nimprep.evaluation.scores import MEASURES, Evaluation
+
+BEST = "*"
+"""Follows the best score of a column, and is explained below the table."""
+
+
+def printable(text: str) -> str:
+    """Return one line that a terminal shows as it is: ids and names may come from anywhere."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def evaluation_text(
+    found: Evaluation, measures: Sequence[str] = tuple(MEASURES), worst: int = 10
+) -> str:
+    """Return a row per class and their mean, the confusion matrix, the groups and worst frames."""
+    rows = [
+        (c.name, [float(found.scores[m][i]) for m in measures]) for i, c in enumerate(found.classes)
+    ]
+    rows.append(("mean, no background", [found.mean[m] for m in measures]))
+    heads = [HEADS[m] for m in measures]
+    parts = [_what(found), _scores("", heads, rows), _confusion(found)]
+    if found.by_group:
+        groups = {g or "(no group)": part for g, part in found.by_group.items()}
+        parts.append(
+            _scores("mean by group", ["frames", *heads], _means(groups, measures, count=True))
+        )
+    if worst and len(found.frames) > 1:
+        frames = dict(list(found.by_frame.items())[:worst])
+        parts.append(_scores("mean, worst frames first", heads, _means(frames, measures)))
+    return "\n\n".join(parts)
+
+
+def _what(found: Evaluation) -> str:
+    of = f"split {found.split}" if found.split else "the whole store"
+    return f"{len(found.frames)} frames of {of}, {found.confusion.sum()} pixels counted"
+
+
+def _means(
+    parts: dict[str, Evaluation], measures: Sequence[str], count: bool = False
+) -> list[tuple[str, list[float]]]:
+    return [
+        (name, [*([len(part.frames)] if count else []), *(part.mean[m] for m in measures)])
+        for name, part in parts.items()
+    ]
+
+
+def _scores(title: str, heads: Sequence[str], rows: Sequence[tuple[str, list[float]]]) -> str:
+    """Return a line per row of numbers; whole ones are counts, NaN is a dash."""
+    wide = _widest([title, *(name for name, _ in rows)])
+    lines = [f"{title:<{wide}}" + "".join(f"{head:>11}" for head in heads)]
+    for name, values in rows:
+        texts = (
+            "-" if math.isnan(v) else str(v) if isinstance(v, int) else _shown(v) for v in values
+        )
+        lines.append(f"{printable(name):<{wide}}" + "".join(f"{text:>11}" for text in texts))
+    return "\n".join(lines)
+
+
+def _shown(value: float) -> str:
+    return f"{value:.{DIGITS}f}"
+
+
+def _widest(texts: Iterable[str]) -> int:
+    return max(map(len, texts))
+
+
+def _confusion(found: Evaluation) -> str:
+    corner = "label \\ prediction"
+    names = [printable(c.name) for c in found.classes]
+    wide = _widest([corner, *names])
+    widths = [max(len(name), 12) for name in names]
+    cells = zip(names, widths, strict=True)
+    lines = [f"{corner:<{wide}}" + "".join(f"  {name:>{w}}" for name, w in cells)]
+    for name, counts in zip(names, found.confusion.tolist(), strict=True):
+        numbers = "".join(f"  {n:>{w}}" for n, w in zip(counts, widths, strict=True))
+        lines.append(f"{name:<{wide}}{numbers}")
+    return "\n".join(lines)
+
+
+def comparison_text(found: Comparison, measures: Sequence[str] = tuple(MEASURES)) -> str:
+    """Return the table of methods and measures; the best have a star and are bold by ANSI codes.
+
+    A printer to anything but a terminal should strip the codes, as `click.echo` does.
+    """
+    table = found.table(measures)
+    legend = f"{BEST} best, by {DIGITS} decimals"
+    if MEAN in table.blocks:
+        legend += "; mean: over the classes that are not background"
+    return "\n".join([_what(found.first), "", *_table_lines(table), "", legend])
+
+
+def _table_lines(table: Table) -> list[str]:
+    names = [printable(name) for name, _ in table.rows]
+    wide = _widest(["method", *names])
+    number = len(table.heads)
+    # A block is as wide as its title needs: its columns share what is missing.
+    widths = [max(10, -(-(_widest([printable(b)]) + 2) // number)) for b in table.blocks]
+    each = [width for width in widths for _ in range(number)]
+    titles = (f"{printable(b):^{w * number}}" for b, w in zip(table.blocks, widths, strict=True))
+    heads = (f"{h:>{w - 1}} " for w, h in zip(each, table.heads * len(widths), strict=True))
+    lines = [
+        (" " * wide + "".join(titles)).rstrip(),
+        (f"{'method':<{wide}}" + "".join(heads)).rstrip(),
+    ]
+    for name, (_, cells) in zip(names, table.rows, strict=True):
+        texts = (
+            _cell(cell.text or "-", cell.best, width)
+            for cell, width in zip(cells, each, strict=True)
+        )
+        lines.append((f"{name:<{wide}}" + "".join(texts)).rstrip())
+    return lines
+
+
+def _cell(text: str, best: bool, width: int) -> str:
+    filled = f"{text:>{width - 1}}"
+    if not best:
+        return f"{filled} "
+    # The blanks stay outside, so that the line's width is the same with and without the codes.
+    return f"{filled[: width - 1 - len(text)]}\x1b[1m{text}{BEST}\x1b[0m"

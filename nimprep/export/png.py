@@ -1,0 +1,126 @@
+"""Frames as PNGs in GMRP's raw layout, and what else `convert` needs to get the store back::
+
+OUT/
+  rgb/000001.png         8-bit colour
+  depth_u16/000001.png   16-bit, millimetres; 0 = no depth
+  label/000001.png       8-bit class ids; 255 = ignore
+  camera.json            of all frames, or camera/000001.json ... where they differ
+  description.json       the folder as `convert --description` reads it: classes, cameras, scenes
+  split.json             as `convert --split-file` reads it
+
+What the layout has no place for is not there: the transform to the road, and the direction of
+gravity. Where a store has that transform (KITTI), HHA made from the folder differs from its HHA.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from nimprep.errors import StoreError
+from nimprep.export.places import write_new
+from nimprep.kitti.images import png_bytes
+from nimprep.readers.description import group_of
+from nimprep.splits import split_document
+from nimprep.store.reader import Store
+
+FOLDERS = {"rgb": "rgb", "depth": "depth_u16", "label": "label"}
+"""The folder of each modality; what is derived from these, convert makes again."""
+
+GROUP_PATTERNS = ("{group}/*", "{group}/**", "**/{group}_*", "**/{group}-*")
+"""Patterns over ids that are tried to say the scenes, which a description cannot list."""
+
+
+def write_frame(store: Store, number: int, folder: Path, file: PurePosixPath) -> None:
+    """Write a frame's images, each at the frame's own size, pixels as the store has them."""
+    height, width = store.camera(number).shape
+    for modality, name in FOLDERS.items():
+        if modality in store.arrays:
+            image = store.arrays[modality].read(number)[:height, :width]
+            write_new(folder / name / file, png_bytes(np.ascontiguousarray(image)))
+
+
+def check_modalities(store: Store) -> None:
+    """Raise `StoreError` where the store has nothing that the layout holds."""
+    if not any(modality in store.arrays for modality in FOLDERS):
+        raise StoreError(
+            f"{store.path}: expected one of {', '.join(FOLDERS)} for --format png, "
+            f"found {', '.join(store.modalities)}; use --format npz"
+        )
+
+
+def write_records(store: Store, numbers: Sequence[int], folder: Path) -> None:
+    """Write the cameras, the splits and the description."""
+    cameras = {store.ids[i]: camera_document(store, i) for i in numbers}
+    shared = shared_camera(list(cameras.values()))
+    if shared is not None:
+        pattern = "camera.json"
+        write_new(folder / pattern, json_bytes(shared))
+    else:
+        pattern = "camera/{id}.json"
+        for frame_id, camera in cameras.items():
+            write_new(folder / "camera" / f"{frame_id}.json", json_bytes(camera))
+    splits = {i: split for i, split in store.splits.items() if i in cameras}
+    write_new(folder / "split.json", json_bytes(split_document(splits)))
+    if {"rgb", "depth"} <= set(store.arrays):
+        description = describe(store, numbers, pattern)
+        write_new(folder / "description.json", json_bytes(description))
+
+
+def camera_document(store: Store, number: int) -> dict[str, Any]:
+    """Return a frame's camera (schemas/camera.schema.json), and where it came from."""
+    baseline_m = float(store.tables.baseline[number])
+    return {
+        **store.camera(number).to_dict(),
+        **({} if math.isnan(baseline_m) else {"baseline_m": baseline_m}),
+        # No part of a camera, but a nominal one should not pass for a calibration.
+        "origin": store.attributes["calibration"]["origin"],
+    }
+
+
+def shared_camera(cameras: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """Return the one camera of all frames, without its size where they have several; or None."""
+    for left_out in ((), ("width", "height")):
+        kept = [{k: v for k, v in camera.items() if k not in left_out} for camera in cameras]
+        if all(camera == kept[0] for camera in kept):
+            return kept[0]
+    return None
+
+
+def describe(store: Store, numbers: Sequence[int], camera: str) -> dict[str, Any]:
+    """Return the description of the exported folder (schemas/folder.schema.json)."""
+    document: dict[str, Any] = {
+        "format": "nimprep-folder",
+        "version": "1.0",
+        "name": store.attributes["dataset"],
+        "rgb": "rgb/{id}.png",
+        "depth": {"files": "depth_u16/{id}.png", "scale_m": 0.001},
+        "camera": camera,
+    }
+    if "label" in store.arrays and store.classes:
+        document["label"] = {"files": "label/{id}.png"}
+        document["classes"] = [
+            {"id": c.id, "name": c.name, "color": list(c.color)} for c in store.classes
+        ]
+    pattern = group_pattern({store.ids[i]: store.tables.group[i] for i in numbers})
+    return document | ({"group": pattern} if pattern else {})
+
+
+def group_pattern(groups: dict[str, str]) -> str | None:
+    """Return a pattern that gives each id its scene; None where none does, or there is none."""
+    if not any(groups.values()):
+        return None
+    for pattern in GROUP_PATTERNS:
+        if all(group_of(frame_id, pattern) == group for frame_id, group in groups.items()):
+            return pattern
+    return None
+
+
+def json_bytes(document: Any) -> bytes:
+    """Return a JSON file's bytes."""
+    return json.dumps(document, indent=2).encode() + b"\n"

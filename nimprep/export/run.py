@@ -1,0 +1,118 @@
+"""Export: which frames, in which form, to where; all of it or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Literal, get_args
+
+from nimprep.errors import ArrayError
+from nimprep.export.places import check_free, check_new, files_of, publish, whole, write_new
+from nimprep.export.selection import select_frames
+from nimprep.kitti.images import refuse_inside
+from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.store.reader import Store, open_store
+
+Format = Literal["png", "rerun", "npz"]
+FORMATS: tuple[str, ...] = get_args(Format)
+
+
+def export_frames(
+    store: Store | Path | str,
+    out: Path | str,
+    form: Format = "png",
+    frames: Iterable[str] | None = None,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Write frames of a store out as files that other programs read.
+
+    Parameters
+    ----------
+    store : Store or path
+    out : path
+        A new or empty folder; with "rerun", a new file. It is there whole or not at all, and
+        nothing is written outside it.
+    form : {"png", "rerun", "npz"}
+        GMRP's raw layout (`nimprep.export.png`), one recording (`nimprep.export.rerun`), or one
+        archive per frame (`nimprep.export.npz`).
+    frames : str or iterable of str, optional
+        Ids, splits and ranges START:END, as `nimprep.export.selection` reads them; None = all.
+    progress : callable, optional
+        Called with the step and its frames; gives what is called after each.
+
+    Returns
+    -------
+    list of str
+        The ids of the frames written, in the store's order.
+
+    Raises
+    ------
+    StoreError
+        There is no store, it is damaged, or `frames` names what it does not have.
+    LayoutError
+        `out` is taken, inside the store or cannot be written, or a frame's id can be no file name.
+    """
+    if form not in FORMATS:
+        raise ArrayError(f"form: expected one of {', '.join(FORMATS)}, found {form!r}")
+    out = Path(out)
+    if not isinstance(store, Store):
+        store = open_store(store)
+    refuse_inside(out, Path(store.path))
+    numbers = select_frames(store, [frames] if isinstance(frames, str) else frames)
+    ids = [store.ids[i] for i in numbers]
+    if form == "rerun":
+        _export_recording(store, numbers, out, progress)
+    else:
+        write = _write_png if form == "png" else _write_npz
+        check_free(out)
+        files = files_of(ids, f".{form}")
+        with whole(out) as partial:
+            write(store, numbers, partial, files, progress)
+            publish(partial, out)
+    return ids
+
+
+def _export_recording(
+    store: Store, numbers: Sequence[int], out: Path, progress: Progress | None
+) -> None:
+    from nimprep.export.rerun import check_library, write_recording
+
+    check_library()
+    check_new(out)
+    with whole(out) as partial:
+        write_recording(store, numbers, partial / "recording.rrd", progress)
+        publish(partial / "recording.rrd", out)
+
+
+def _write_png(
+    store: Store,
+    numbers: Sequence[int],
+    folder: Path,
+    files: dict[str, PurePosixPath],
+    progress: Progress | None,
+) -> None:
+    from nimprep.export.png import check_modalities, write_frame, write_records
+
+    check_modalities(store)
+    write_records(store, numbers, folder)
+    _each(numbers, lambda i: write_frame(store, i, folder, files[store.ids[i]]), progress)
+
+
+def _write_npz(
+    store: Store,
+    numbers: Sequence[int],
+    folder: Path,
+    files: dict[str, PurePosixPath],
+    progress: Progress | None,
+) -> None:
+    from nimprep.export.npz import frame_arrays, npz_bytes
+
+    def write(number: int) -> None:
+        write_new(folder / files[store.ids[number]], npz_bytes(frame_arrays(store, number)))
+
+    _each(numbers, write, progress)
+
+
+def _each(numbers: Sequence[int], write: Callable[[int], None], progress: Progress | None) -> None:
+    for _ in map_frames("export", write, numbers, progress):
+        pass

@@ -1,0 +1,212 @@
+"""Export as PNGs gives GMRP's raw layout back: what was exported converts to the same store."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import nimprep
+from nimprep.cli import main
+from nimprep.errors import StoreError
+from nimprep.export import export_frames
+from nimprep.export.png import group_pattern
+from nimprep.schema import schema_problems
+from nimprep.store.reader import Store
+from tests.fakes import depth_image, write_gmrp, write_nyu_like, write_png
+
+CAMERA = (30.25, 31.5, 15.125, 1 / 3)
+
+
+def run(*arguments: object) -> None:
+    assert CliRunner().invoke(main, [str(a) for a in arguments]).exit_code == 0
+
+
+def assert_same(a: Store, b: Store) -> None:
+    """Compare everything that an exported folder can hold, and what is derived from it."""
+    assert a.ids == b.ids
+    assert a.classes == b.classes
+    assert a.splits == b.splits
+    assert a.tables.group == b.tables.group
+    for name in ("image_size", "intrinsics", "baseline"):
+        np.testing.assert_array_equal(getattr(a.tables, name), getattr(b.tables, name))
+    assert a.modalities == b.modalities
+    for modality in a.modalities:
+        for number in range(len(a)):
+            images = a.arrays[modality].read(number), b.arrays[modality].read(number)
+            np.testing.assert_array_equal(*images, err_msg=f"{modality} of frame {number}")
+
+
+def convert_back(folder: Path, target: Path) -> Store:
+    files = {"description": folder / "description.json", "split_file": folder / "split.json"}
+    return nimprep.convert(folder, target, **files)
+
+
+def test_a_gmrp_store_converts_back_from_its_folders_alone(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "raw")
+    store = nimprep.convert(raw, tmp_path / "s.zarr", camera=CAMERA)
+    assert export_frames(store, tmp_path / "out") == list(store.ids)
+    # As GMRP itself would be converted: no description, no camera given, no warning.
+    again = nimprep.convert(tmp_path / "out", tmp_path / "again.zarr")
+    assert_same(store, again)
+    assert_same(store, convert_back(tmp_path / "out", tmp_path / "described.zarr"))
+
+
+def test_the_files_are_the_raw_datasets_pixels(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "raw")
+    store = nimprep.convert(raw, tmp_path / "s.zarr", camera=CAMERA)
+    export_frames(store, tmp_path / "out")
+    for folder in ("rgb", "depth_u16", "label"):
+        names = sorted(path.name for path in (raw / folder).iterdir())
+        assert sorted(path.name for path in (tmp_path / "out" / folder).iterdir()) == names
+        for name in names:
+            made, given = (
+                cv2.imread(str(root / folder / name), cv2.IMREAD_UNCHANGED)
+                for root in (tmp_path / "out", raw)
+            )
+            assert made.dtype == given.dtype
+            if folder == "depth_u16":
+                # 65535 means none in GMRP; a store has one value for that, 0.
+                assert (given == 65535).sum() == 1
+                given[given == 65535] = 0
+            np.testing.assert_array_equal(made, given)
+
+
+def test_a_cropped_store_keeps_its_camera(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "raw", frames=3)
+    with pytest.warns(UserWarning, match="nominal"):
+        store = nimprep.convert(raw, tmp_path / "s.zarr", crop=(3, 0, 2, 5))
+    export_frames(store, tmp_path / "out")
+    camera = json.loads((tmp_path / "out" / "camera.json").read_text())
+    assert (camera["width"], camera["height"]) == (25, 21)
+    # Which was nominal, and does not pass for a calibration.
+    assert camera["origin"] == "nominal"
+    assert_same(store, nimprep.convert(tmp_path / "out", tmp_path / "again.zarr"))
+
+
+def write_mixed(root: Path, cameras: bool) -> Path:
+    """Write frames of three sizes in scenes, with a camera each or one for all."""
+    for number, (scene, size) in enumerate(
+        (("um", (20, 40)), ("um", (24, 32)), ("uu", (30, 28)), ("umm", (20, 40)))
+    ):
+        name = f"training/{scene}_{number:06d}"
+        rng = np.random.default_rng(number)
+        write_png(root / "rgb" / f"{name}.png", rng.integers(0, 256, (*size, 3), dtype=np.uint8))
+        write_png(root / "depth" / f"{name}.png", depth_image(number, size))
+        write_png(root / "label" / f"{name}.png", rng.choice([0, 3, 255], size).astype(np.uint8))
+        (root / "cam" / "training").mkdir(parents=True, exist_ok=True)
+        fx = 30 + (number if cameras else 0)
+        document = {"fx": fx, "fy": 31, "cx": 16.1, "cy": 11, "baseline_m": 0.54}
+        (root / "cam" / f"{name}.json").write_text(json.dumps(document))
+    description = {
+        "format": "nimprep-folder",
+        "version": "1.0",
+        "name": "mixed",
+        "rgb": "rgb/{id}.png",
+        "depth": {"files": "depth/{id}.png", "scale_m": 0.001, "invalid": [0, 65535]},
+        "label": {"files": "label/{id}.png"},
+        "classes": [
+            {"id": 0, "name": "not road", "color": [1, 2, 3]},
+            {"id": 3, "name": "a <road> & more", "color": [4, 5, 6]},
+        ],
+        "camera": "cam/{id}.json",
+        "group": "training/{group}_*",
+    }
+    path = root.parent / "mixed.json"
+    path.write_text(json.dumps(description))
+    return path
+
+
+@pytest.mark.parametrize("cameras", [True, False])
+def test_frames_of_several_sizes_cameras_classes_and_scenes_convert_back(
+    tmp_path: Path, cameras: bool
+) -> None:
+    description = write_mixed(tmp_path / "raw", cameras)
+    store = nimprep.convert(tmp_path / "raw", tmp_path / "s.zarr", description=description)
+    assert len({tuple(size) for size in store.tables.image_size}) == 3
+    assert set(store.tables.group) == {"um", "uu", "umm"}
+    export_frames(store, tmp_path / "out")
+    for number, frame_id in enumerate(store.ids):
+        image = cv2.imread(str(tmp_path / "out" / "label" / f"{frame_id}.png"), -1)
+        assert image.shape == tuple(store.tables.image_size[number])
+    assert (tmp_path / "out" / "camera.json").is_file() is not cameras
+    assert (tmp_path / "out" / "camera" / "training" / "um_000000.json").is_file() is cameras
+    assert_same(store, convert_back(tmp_path / "out", tmp_path / "again.zarr"))
+
+
+def test_some_frames_convert_back_to_these_frames(tmp_path: Path) -> None:
+    raw, description = write_nyu_like(tmp_path / "raw")
+    options = {"description": description, "split_by": "frame"}
+    store = nimprep.convert(raw, tmp_path / "s.zarr", **options)
+    assert export_frames(store, tmp_path / "out", frames=["kitchen/1", "2:4"]) == [
+        "kitchen/1",
+        "office/0",
+        "office/1",
+    ]
+    again = convert_back(tmp_path / "out", tmp_path / "again.zarr")
+    assert again.ids == store.ids[1:]
+    assert again.tables.group == ("kitchen", "office", "office")
+    assert again.splits == {i: store.splits[i] for i in again.ids}
+    np.testing.assert_array_equal(again.arrays["depth"].read(1), store.arrays["depth"].read(2))
+
+
+def test_the_records_fit_their_schemas(tmp_path: Path) -> None:
+    description = write_mixed(tmp_path / "raw", cameras=True)
+    store = nimprep.convert(tmp_path / "raw", tmp_path / "s.zarr", description=description)
+    export_frames(store, tmp_path / "out")
+    records = {
+        "folder": "description.json",
+        "split": "split.json",
+        "camera": "camera/training/um_000000.json",
+    }
+    for schema, name in records.items():
+        document = json.loads((tmp_path / "out" / name).read_text())
+        assert schema_problems(document, schema) == []
+
+
+@pytest.mark.parametrize(
+    ("groups", "pattern"),
+    [
+        ({"a/0": "a", "b/1": "b"}, "{group}/*"),
+        ({"a/x/0": "a", "b/1": "b"}, "{group}/**"),
+        ({"um_0": "um", "uu_1": "uu"}, "**/{group}_*"),
+        ({"t/um_0": "um", "uu_1": "uu"}, "**/{group}_*"),
+        ({"a-0": "a"}, "**/{group}-*"),
+        ({"a/0": "a", "b/1": ""}, None),
+        ({"0": "a", "1": "b"}, None),
+        ({"a/0": "", "b/1": ""}, None),
+    ],
+)
+def test_scenes_are_described_where_one_pattern_gives_them_all(
+    groups: dict[str, str], pattern: str | None
+) -> None:
+    assert group_pattern(groups) == pattern
+
+
+def test_what_a_store_lacks_is_left_out(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "raw", frames=3)
+    options = {"camera": CAMERA, "modalities": ["rgb", "label"]}
+    store = nimprep.convert(raw, tmp_path / "s.zarr", **options)
+    export_frames(store, tmp_path / "out")
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    # Without depth the folder is no dataset, so nothing describes it as one.
+    assert names == {"rgb", "label", "camera.json", "split.json"}
+    derived = nimprep.convert(raw, tmp_path / "n.zarr", camera=CAMERA, modalities=["normal"])
+    with pytest.raises(StoreError, match=r"expected one of rgb, depth, label .* found normal"):
+        export_frames(derived, tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_real_frames_convert_back(reference_data: Path, tmp_path: Path) -> None:
+    options = ("--modalities", "rgb,depth,label")
+    for source in ("gmrp", "kitti_road"):
+        store, out, again = (tmp_path / f"{source}{end}" for end in (".zarr", "", ".again"))
+        run("convert", reference_data / source, store, *options)
+        run("export", store, out, "--format", "png")
+        records = ("--description", out / "description.json", "--split-file", out / "split.json")
+        run("convert", out, again, *options, *records)
+        assert_same(nimprep.open_store(store), nimprep.open_store(again))
