@@ -41,5 +41,9 @@ class StoreError(NimprepError, ValueError):
     """A store is missing, incomplete, damaged, of another version, or cannot be written."""
 
 
+class ClusterError(NimprepError, ConnectionError):
+    """A Dask cluster is out of reach, or its workers cannot do the work."""
+
+
 class SplitError(NimprepError, ValueError):
     """A split file or rule does not fit the frames."""

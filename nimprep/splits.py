@@ -21,6 +21,8 @@ SPLIT_CODES: dict[str, int] = {"train": 0, "val": 1, "test": 2, "none": 255}
 SPLIT_RULES = ("frame", "group", "stratified")
 """By frame; by whole scenes; by frame within each scene."""
 
+SPLITS: dict[str, SplitName] = {"train": "train", "val": "val", "test": "test"}
+
 SPLIT_NAMES: dict[int, str] = {code: name for name, code in SPLIT_CODES.items()}
 
 
@@ -61,31 +63,48 @@ def split_by_group(groups: Mapping[str, str], seed: int = 0) -> dict[str, SplitN
     SplitError
         A frame has no scene, or there are fewer than three scenes.
     """
+    _check_named(groups)
+    sizes = Counter(groups.values())
+    if len(sizes) < 3:
+        raise SplitError(
+            f"split by group: expected at least 3 groups, found {len(sizes)}; split by frame"
+        )
+    chosen = _choose_scenes(sizes, {}, held_out_count(len(groups)), seed)
+    return {i: chosen[group] for i, group in groups.items()}
+
+
+def _check_named(groups: Mapping[str, str]) -> None:
     nameless = [i for i, group in groups.items() if not group]
     if nameless:
         raise SplitError(
             f"{nameless[0]}: expected a group to split by, found none "
             f"({len(nameless)} of {len(groups)} frames); split by frame or use a split file"
         )
-    sizes = Counter(groups.values())
-    if len(sizes) < 3:
-        raise SplitError(
-            f"split by group: expected at least 3 groups, found {len(sizes)}; split by frame"
-        )
-    target = held_out_count(len(groups))
-    queue = hash_order(sizes, seed)
-    chosen: dict[str, SplitName] = {}
-    held_out: tuple[SplitName, ...] = ("val", "test")
-    for later, name in ((1, held_out[0]), (0, held_out[1])):
-        count = 0
-        # What stays in the queue must do for the splits still to come and for train.
-        while len(queue) > later + 1:
-            after = count + sizes[queue[0]]
-            if count and abs(after - target) >= abs(count - target):
+
+
+def _choose_scenes(
+    sizes: Mapping[str, int], known: Mapping[str, SplitName], target: int, seed: int
+) -> dict[str, SplitName]:
+    """Return the split of every scene; those that are known keep theirs."""
+    chosen = dict(known)
+    frames: Counter[SplitName] = Counter()
+    for scene, split in known.items():
+        frames[split] += sizes[scene]
+    queue = hash_order(sizes.keys() - known.keys(), seed)
+    order: tuple[tuple[SplitName, tuple[SplitName, ...]], ...] = (
+        ("val", ("test", "train")),
+        ("test", ("train",)),
+    )
+    for name, later in order:
+        # What stays in the queue must do for those of the splits still to come that have none.
+        needed = sum(not frames[split] for split in later)
+        while len(queue) > needed:
+            after = frames[name] + sizes[queue[0]]
+            if frames[name] and abs(after - target) >= abs(frames[name] - target):
                 break
             chosen[queue.pop(0)] = name
-            count = after
-    return {i: chosen.get(group, "train") for i, group in groups.items()}
+            frames[name] = after
+    return chosen | dict.fromkeys(queue, "train")
 
 
 def assign_splits(
@@ -130,6 +149,86 @@ def assign_splits(
     if "test" in fixed.values():
         chosen = {i: "train" if split == "test" else split for i, split in chosen.items()}
     return {i: fixed.get(i) or chosen[i] for i in groups}
+
+
+def extend_splits(
+    groups: Mapping[str, str],
+    known: Mapping[str, str],
+    rule: str = "frame",
+    seed: int = 0,
+    fixed: Mapping[str, SplitName] | None = None,
+) -> dict[str, str]:
+    """Give frames that join a dataset their split by its rule; the others keep theirs.
+
+    By frame, val and test are to have as many of all frames together as the rule gives them: in
+    hash order, new frames go to val until it has, then to test, the rest to train. Stratified, the
+    same holds within each scene. By group, a new frame of a known scene goes where its scene is;
+    new scenes in hash order go to val, then test, as long as each brings it nearer to that number.
+    Where nothing is known this is `assign_splits`.
+
+    Parameters
+    ----------
+    groups : mapping of frame id to scene
+        Every frame, known and new, in order.
+    known : mapping of frame id to split
+        The frames that have one already.
+    rule : {"frame", "group", "stratified", "file"}
+        "file" = a split file chose; new frames get "none".
+    seed : int
+        The one the known frames were split with.
+    fixed : mapping of frame id to split, optional
+        As for `assign_splits`, known frames included.
+
+    Returns
+    -------
+    dict of frame id to split
+        Every frame, in order.
+
+    Raises
+    ------
+    SplitError
+        There is no such rule, or a new frame has no scene to go by.
+    """
+    if rule == "file":
+        return {i: known.get(i, "none") for i in groups}
+    if not known:
+        return dict(assign_splits(groups, rule, seed, fixed))
+    if rule not in SPLIT_RULES:
+        raise SplitError(f"split rule: expected one of {', '.join(SPLIT_RULES)}, found {rule!r}")
+    fixed = dict(fixed or {})
+    free = {i: group for i, group in groups.items() if i not in fixed}
+    chosen: dict[str, str] = {}
+    if rule == "group":
+        chosen = _extend_scenes(free, known, seed)
+    else:
+        strata: dict[str, list[str]] = {}
+        for i, group in free.items():
+            strata.setdefault(group if rule == "stratified" else "", []).append(i)
+        for members in strata.values():
+            chosen.update(_extend_frames(members, known, seed))
+    if "test" in fixed.values():
+        chosen = {i: "train" if split == "test" else split for i, split in chosen.items()}
+    return {i: known.get(i) or fixed.get(i) or chosen[i] for i in groups}
+
+
+def _extend_frames(ids: Sequence[str], known: Mapping[str, str], seed: int) -> dict[str, str]:
+    target = held_out_count(len(ids))
+    there = Counter(known[i] for i in ids if i in known)
+    val, test = (max(0, target - there[name]) for name in ("val", "test"))
+    new = hash_order((i for i in ids if i not in known), seed)
+    splits = dict.fromkeys(new, "train")
+    splits |= dict.fromkeys(new[:val], "val") | dict.fromkeys(new[val : val + test], "test")
+    return splits
+
+
+def _extend_scenes(
+    groups: Mapping[str, str], known: Mapping[str, str], seed: int
+) -> dict[str, str]:
+    _check_named({i: group for i, group in groups.items() if i not in known})
+    scenes = {group: SPLITS[known[i]] for i, group in groups.items() if known.get(i) in SPLITS}
+    sizes = Counter(groups.values())
+    chosen = _choose_scenes(sizes, scenes, held_out_count(len(groups)), seed)
+    return {i: chosen[group] for i, group in groups.items()}
 
 
 def count_splits(splits: Iterable[str]) -> dict[str, int]:

@@ -8,8 +8,10 @@ from hypothesis import strategies as st
 
 from nimprep.errors import SplitError
 from nimprep.splits import (
+    SplitName,
     assign_splits,
     count_splits,
+    extend_splits,
     hash_order,
     held_out_count,
     split_by_frame,
@@ -117,3 +119,107 @@ def test_a_wrong_split_file_is_refused(
     path.write_text(json.dumps({**document, **change}))
     with pytest.raises(SplitError, match=words):
         splits_from_file(path, ["a", "b"])
+
+
+SCENES = {f"{scene}/{i}": scene for scene in ("um", "umm", "uu", "lab") for i in range(11)}
+
+
+@pytest.mark.parametrize("rule", ["frame", "group", "stratified"])
+@pytest.mark.parametrize("fixed", [{}, {"um/3": "test"}, {"um/3": "train", "uu/1": "val"}])
+def test_joining_an_empty_dataset_is_splitting_it(rule: str, fixed: dict[str, SplitName]) -> None:
+    assert extend_splits(SCENES, {}, rule, 4, fixed) == assign_splits(SCENES, rule, 4, fixed)
+
+
+@given(st.integers(0, 60), st.integers(0, 60), st.integers(0, 5))
+def test_frames_that_join_fill_up_what_is_held_out(old: int, new: int, seed: int) -> None:
+    ids = [f"{number:06d}" for number in range(old + new)]
+    known = split_by_frame(ids[:old], seed)
+    splits = extend_splits(dict.fromkeys(ids, ""), known, "frame", seed)
+    assert list(splits) == ids
+    assert {i: splits[i] for i in ids[:old]} == known
+    held_out = held_out_count(old + new)
+    assert count_splits(splits.values()) == {
+        "train": old + new - 2 * held_out,
+        "val": held_out,
+        "test": held_out,
+    }
+
+
+def test_frames_that_join_are_taken_in_hash_order() -> None:
+    ids = ["a", "b", "000001", "000002", "000003"]
+    splits = extend_splits(dict.fromkeys(ids, ""), {"a": "train", "b": "train"})
+    # 5 frames hold out 1 and 1; the order is that of the test by sha256sum above.
+    assert splits == {
+        "a": "train",
+        "b": "train",
+        "000002": "val",
+        "000003": "test",
+        "000001": "train",
+    }
+
+
+def test_a_dataset_with_too_many_held_out_gets_no_more() -> None:
+    known = dict.fromkeys(IDS[:20], "val") | dict.fromkeys(IDS[20:25], "test")
+    splits = extend_splits(dict.fromkeys(IDS, ""), known)
+    # 40 frames hold out 6 and 6.
+    assert count_splits(splits.values()) == {"train": 14, "val": 20, "test": 6}
+
+
+def test_each_scene_fills_up_for_itself_when_stratified() -> None:
+    known = assign_splits({i: g for i, g in SCENES.items() if g != "lab"}, "stratified")
+    splits = extend_splits(SCENES, known, "stratified")
+    for scene in ("um", "umm", "uu", "lab"):
+        counts = count_splits(s for i, s in splits.items() if SCENES[i] == scene)
+        assert counts == {"train": 7, "val": 2, "test": 2}
+
+
+@given(
+    st.lists(st.integers(1, 30), min_size=3, max_size=12),
+    st.lists(st.integers(1, 30), max_size=12),
+    st.integers(0, 5),
+)
+def test_no_group_straddles_when_frames_join(
+    before: list[int], after: list[int], seed: int
+) -> None:
+    old = {f"{g}/{i}": f"g{g}" for g, size in enumerate(before) for i in range(size)}
+    # Every second scene that comes is one that is there.
+    names = [f"g{g}" if g % 2 and g < len(before) else f"new{g}" for g in range(len(after))]
+    new = {f"n{g}/{i}": names[g] for g, size in enumerate(after) for i in range(size)}
+    known = split_by_group(old, seed)
+    splits = extend_splits(old | new, known, "group", seed)
+    of_group: dict[str, set[str]] = {}
+    for frame_id, group in (old | new).items():
+        of_group.setdefault(group, set()).add(splits[frame_id])
+    assert all(len(found) == 1 for found in of_group.values())
+    assert {i: splits[i] for i in old} == known
+
+
+def test_new_scenes_go_where_frames_are_short() -> None:
+    old = {f"{scene}/{i}": scene for scene in "abcdefgh" for i in range(10)}
+    new = {f"{scene}/{i}": scene for scene in "ijklmnop" for i in range(10)}
+    splits = extend_splits(old | new, split_by_group(old), "group")
+    # 160 frames hold out 24 and 24; whole scenes of 10 come nearest with 20.
+    assert count_splits(splits.values()) == {"train": 120, "val": 20, "test": 20}
+
+
+def test_a_frame_without_a_scene_cannot_join_by_group() -> None:
+    known = split_by_group(SCENES)
+    with pytest.raises(SplitError, match=r"stray: expected a group .* \(1 of 1 frames\)"):
+        extend_splits({**SCENES, "stray": ""}, known, "group")
+    with pytest.raises(SplitError, match="expected one of frame"):
+        extend_splits(SCENES, known, "colour")
+
+
+def test_what_the_authors_fixed_stays_so_when_frames_join() -> None:
+    ids = dict.fromkeys(IDS, "um")
+    known = assign_splits(dict.fromkeys(IDS[:10], "um"), "stratified", 0, {IDS[0]: "test"})
+    fixed: dict[str, SplitName] = {IDS[0]: "test", IDS[20]: "test", IDS[21]: "test"}
+    splits = extend_splits(ids, known, "stratified", 0, fixed)
+    assert {i for i, s in splits.items() if s == "test"} == set(fixed)
+    # Of the 37 that are free, val gets its 6 and nobody is test.
+    assert count_splits(splits.values()) == {"train": 31, "val": 6, "test": 3}
+
+
+def test_frames_that_join_a_split_made_by_a_file_have_none() -> None:
+    splits = extend_splits({"a": "", "b": ""}, {"a": "val"}, "file")
+    assert splits == {"a": "val", "b": "none"}

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import os
 import sys
+import traceback
 import warnings
+from contextlib import suppress
 from typing import Any, NoReturn
 
 import click
 
 from nimprep import __version__
+from nimprep.cli.options import printable
 from nimprep.errors import NimprepError
 
 _COMMANDS = {
     "convert": ("nimprep.cli.convert", "Turn a raw dataset into a store."),
+    "append": ("nimprep.cli.append", "Add a raw dataset's frames to a store of its kind."),
+    "merge": ("nimprep.cli.merge", "Join stores of one kind into a new one."),
     "info": ("nimprep.cli.inspect", "Show what a store holds."),
     "validate": ("nimprep.cli.inspect", "Check a store; exit 1 where something is wrong."),
     "split": ("nimprep.cli.split", "Show, export or change who is train, val and test."),
     "evaluate": ("nimprep.cli.evaluate", "Score predicted labels against a store."),
+    "export": ("nimprep.cli.export", "Write frames as PNGs, NumPy archives or a Rerun recording."),
+    "report": ("nimprep.cli.report", "Show a store on one page of HTML that needs no network."),
+    "view": ("nimprep.cli.view", "Browse every frame of a store in the browser, on this machine."),
     "synth": ("nimprep.cli.synth", "Make a synthetic dataset in GMRP's layout."),
     "demo": ("nimprep.cli.synth", "Try it all on data made on the spot."),
     "kitti": ("nimprep.cli.kitti", "KITTI road: depth, bird's-eye view, scores, submission."),
@@ -41,6 +51,18 @@ class _LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
 
+    def main(self, *args: Any, **named: Any) -> Any:
+        try:
+            return super().main(*args, **named)
+        except OSError as error:
+            # click takes a closed pipe for the reader's wish.
+            if error.errno == errno.EPIPE or not _while_printing(error):
+                raise
+            # Or Python tries once more at its end, and says so.
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            fail(f"standard output: expected room for the result, found {error.strerror}")
+
     def invoke(self, ctx: click.Context) -> Any:
         try:
             with warnings.catch_warnings():
@@ -55,13 +77,19 @@ class _LazyGroup(click.Group):
             sys.exit(130)
 
 
+def _while_printing(error: OSError) -> bool:
+    """Tell whether printing failed, and no file of a command's."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return frames[-1].f_globals.get("__name__") == click.echo.__module__
+
+
 def _show_warning(message: Warning | str, *rest: Any, **named: Any) -> None:
-    click.echo(f"warning: {message}", err=True)
+    click.echo(f"warning: {printable(str(message))}", err=True)
 
 
 def fail(message: str) -> NoReturn:
     """Print one line to stderr and exit 1: the data is bad."""
-    click.echo("error: " + " ".join(message.split()), err=True)
+    click.echo("error: " + printable(" ".join(message.split())), err=True)
     sys.exit(1)
 
 

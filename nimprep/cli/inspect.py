@@ -4,30 +4,29 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 
 import click
 
-from nimprep.cli.options import json_option, progress_bars, quiet_option
+from nimprep.cli.options import json_option, printable, progress_bars, quiet_option
 
 
 @click.command()
-@click.argument("store", type=click.Path(path_type=Path))
+@click.argument("store", type=click.Path())
 @json_option
-def info(store: Path, as_json: bool) -> None:
+def info(store: str, as_json: bool) -> None:
     """Show what STORE holds: frames, modalities, splits, camera, depth."""
     from nimprep.store.info import info_text, store_info
 
     found = store_info(store)
-    click.echo(json.dumps(found, indent=2) if as_json else info_text(found))
+    click.echo(json.dumps(found, indent=2) if as_json else printable(info_text(found)))
 
 
 @click.command()
-@click.argument("store", type=click.Path(path_type=Path))
+@click.argument("store", type=click.Path())
 @click.option("--deep", is_flag=True, help="Decode and check every pixel.")
 @json_option
 @quiet_option
-def validate(store: Path, deep: bool, as_json: bool, quiet: bool) -> None:
+def validate(store: str, deep: bool, as_json: bool, quiet: bool) -> None:
     """Check STORE against format 1.0; exit 1 where something is wrong."""
     from nimprep.store.validate import validate_store
 
@@ -39,7 +38,7 @@ def validate(store: Path, deep: bool, as_json: bool, quiet: bool) -> None:
         click.echo(f"{store}: valid, {report.frames} frames ({checks} checked)")
     else:
         for problem in report.problems:
-            click.echo(f"{store}: {problem}")
+            click.echo(printable(f"{store}: {problem}"))
     if not report.valid:
         click.echo(
             f"error: {store}: expected a valid store, found it is not "

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 
+Command = TypeVar("Command", bound=Callable[..., Any])
 Progress = Callable[[str, int], Callable[[], None]]
+
+
+def printable(text: str) -> str:
+    """Return the text with what cannot be seen written out: no store may steer a terminal."""
+    return "".join(
+        letter
+        if letter.isprintable() or letter == "\n"
+        else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )
 
 
 def parse_numbers(value: str, names: str, kind: type[int] | type[float]) -> tuple[Any, ...]:
@@ -26,6 +39,78 @@ def parse_numbers(value: str, names: str, kind: type[int] | type[float]) -> tupl
     if len(numbers) != len(names.split(",")):
         raise click.BadParameter(f"expected {names}, found {value!r}")
     return numbers
+
+
+def _intrinsics(
+    ctx: click.Context, param: click.Parameter, value: str | None
+) -> tuple[float, float, float, float] | None:
+    if value is None:
+        return None
+    fx, fy, cx, cy = parse_numbers(value, "fx,fy,cx,cy", float)
+    if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
+        raise click.BadParameter(f"expected finite pixels, fx and fy positive, found {value!r}")
+    return fx, fy, cx, cy
+
+
+_READING = (
+    click.option(
+        "--reader",
+        type=click.Choice(["auto", "gmrp", "kitti-road", "folder"]),
+        default="auto",
+        help="Layout of SRC; default: by its folders.",
+    ),
+    click.option(
+        "--description",
+        type=click.Path(path_type=Path),
+        help="JSON description of a folder dataset (schemas/folder.schema.json).",
+    ),
+    click.option("--camera", type=click.Path(path_type=Path), help="Camera file, JSON."),
+    click.option(
+        "--intrinsics",
+        callback=_intrinsics,
+        metavar="FX,FY,CX,CY",
+        help="Camera as numbers, pixels.",
+    ),
+    click.option(
+        "--depth-scale", type=click.FloatRange(1e-9, 1000), help="Metres per raw depth unit."
+    ),
+    click.option(
+        "--target",
+        type=click.Choice(["road", "lane"]),
+        default="road",
+        show_default=True,
+        help="Which of KITTI road's ground truths.",
+    ),
+    click.option(
+        "--depth-from",
+        type=click.Choice(["auto", "lidar", "stereo"]),
+        default="auto",
+        show_default=True,
+        help="Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo.",
+    ),
+    click.option("--sparse", is_flag=True, help="Leave KITTI road's depth as measured."),
+)
+
+
+def reading_options(command: Command) -> Command:
+    """Add the options that say how a raw dataset is read."""
+    for option in reversed(_READING):
+        command = option(command)
+    return command
+
+
+def given_camera(given: dict[str, Any]) -> Any:
+    """Take --camera and --intrinsics out of the options given; return which was.
+
+    Raises
+    ------
+    click.UsageError
+        Both were.
+    """
+    camera, intrinsics = given.pop("camera"), given.pop("intrinsics")
+    if camera and intrinsics:
+        raise click.UsageError("expected --camera or --intrinsics, found both")
+    return camera or intrinsics
 
 
 def progress_bars(quiet: bool) -> Progress:

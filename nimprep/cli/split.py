@@ -8,7 +8,7 @@ import click
 
 
 @click.command()
-@click.argument("store", type=click.Path(path_type=Path))
+@click.argument("store", type=click.Path())
 @click.option(
     "--export", "export_file", type=click.Path(path_type=Path), help="Write a split file."
 )
@@ -22,7 +22,7 @@ import click
 )
 @click.option("--seed", type=int, help="Split anew with another order.")
 def split(
-    store: Path,
+    store: str,
     export_file: Path | None,
     import_file: Path | None,
     split_by: str | None,

@@ -8,12 +8,15 @@ from pathlib import Path
 import click
 
 from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
+from nimprep.frame import MAX_PIXELS
 
 DEMO_FRAMES = 16
 
 
 def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
     width, height = parse_numbers(value.replace("x", ","), "WIDTH,HEIGHT", int)
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise click.BadParameter(f"expected 1 to {MAX_PIXELS} pixels in all, found {value!r}")
     return height, width
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,26 @@ from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins
 from nimprep.store.storage import Storage
 from nimprep.store.writer import StoreLayout, StoreWriter
+
+
+@dataclass(frozen=True)
+class Base:
+    """Name the store that frames are appended to, as far as encoding them depends on it.
+
+    Attributes
+    ----------
+    frames : int
+        So many it has: the first unit is to fill its last shard.
+    height, width : int
+        Of its padded images.
+    digest : str
+        Of its sources.
+    """
+
+    frames: int
+    height: int
+    width: int
+    digest: str
 
 
 @dataclass(frozen=True)
@@ -35,6 +55,8 @@ class Job:
         In the reader's order.
     storage : Storage
         Where the store is written.
+    base : Base, optional
+        The store that the frames will be appended to.
     """
 
     source: Path
@@ -43,6 +65,7 @@ class Job:
     layout: StoreLayout
     states: Mapping[str, tuple[FileState, ...]]
     storage: Storage
+    base: Base | None = None
 
     def open_reader(self) -> Reader:
         """Open the source as the plan did."""
@@ -50,9 +73,13 @@ class Job:
         return reader if self.margins is None else CroppedReader(reader, self.margins)
 
     def units(self) -> list[list[str]]:
-        """Return each unit's frame ids: a shard's length, less in the last."""
+        """Return each unit's frame ids: a shard's length, less in the last.
+
+        The first has as many as a base's last shard has room for, so that shards fall together.
+        """
         ids, length = list(self.states), self.layout.shard_length
-        return [ids[i : i + length] for i in range(0, len(ids), length)]
+        first = length - (self.base.frames % length if self.base else 0)
+        return [ids[:first], *(ids[i : i + length] for i in range(first, len(ids), length))]
 
     def encode(self, reader: Reader, frame_id: str) -> EncodedFrame | SkippedFrame:
         """Encode one frame; where bad frames are to be skipped, say why it was.
@@ -102,9 +129,12 @@ class UnitBuilder:
         return UnitRecord(self.number, facts, tuple(self._skipped), counts)
 
 
-def encode_unit(job: Job, reader: Reader, number: int) -> UnitRecord:
+def encode_unit(
+    job: Job, reader: Reader, number: int, before_writing: Callable[[], None] = lambda: None
+) -> UnitRecord:
     """Encode and write one unit on the calling thread alone."""
     builder = UnitBuilder(number, job)
     for frame_id in job.units()[number]:
         builder.add(job.encode(reader, frame_id))
+    before_writing()
     return builder.write()

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep import __version__
+from nimprep.conversion.job import Base
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import DEPTHS, UnitRecord
 from nimprep.conversion.sources import FileState, changed_files
@@ -60,11 +61,14 @@ class Journal:
         A place of its own.
     where : str
         The target, for messages.
+    base : Base, optional
+        The store that frames are appended to.
     """
 
-    def __init__(self, storage: Storage, where: str) -> None:
+    def __init__(self, storage: Storage, where: str, base: Base | None = None) -> None:
         self._storage = storage
         self._where = where
+        self._base = None if base is None else asdict(base)
 
     def begin(
         self,
@@ -78,6 +82,7 @@ class Journal:
             "options": option_values(options),
             "margins": None if margins is None else asdict(margins),
             "files": states,
+            "base": self._base,
         }
         self._storage.write(_PLAN, [json.dumps(plan).encode()])
 
@@ -116,6 +121,8 @@ class Journal:
             before, after = plan["options"].get(name), now.get(name)
             if before != after:
                 changes.append(f"{name} {_shown(before)} then and {_shown(after)} now")
+        if plan.get("base") != self._base:
+            changes.append("another store to append to")
         changes += self._changed_frames(plan["files"], states)
         if changes:
             raise StoreError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from nimprep.conversion.encode import EncodedFrame
@@ -15,7 +15,7 @@ from nimprep.readers import Reader
 
 def encode_units(
     job: Job, reader: Reader, todo: Sequence[int], workers: int, done: Callable[[], None]
-) -> Iterator[UnitRecord]:
+) -> Generator[UnitRecord]:
     """Encode and write units, in order; yield each one's record once its shards are written.
 
     Threads share the work frame by frame: decoding, the kernels and compression release the GIL.

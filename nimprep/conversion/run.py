@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from nimprep.conversion.job import Job
+from nimprep.conversion.job import Base, Job
 from nimprep.conversion.journal import Journal
-from nimprep.conversion.local import encode_units
+from nimprep.conversion.local import encode_units as encode_units_here
+from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.packing import forget_packing, is_packed, pack_shards
 from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_splits
 from nimprep.conversion.records import UnitRecord, depth_percentiles, source_digest, tables
-from nimprep.conversion.sources import FileState, frame_state
-from nimprep.conversion.workspace import Workspace, open_workspace
+from nimprep.conversion.sources import frame_states, listed_state
+from nimprep.conversion.workspace import Workspace
 from nimprep.derive.threads import available_cores
-from nimprep.errors import DecodeError, NimprepError
+from nimprep.errors import DecodeError, LayoutError, NimprepError
 from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
+from nimprep.store.location import is_url, storage_from
 from nimprep.store.reader import Store, open_store
+from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import StoreWriter
 
 Progress = Callable[[str, int], Callable[[], None]]
@@ -31,7 +35,7 @@ Progress = Callable[[str, int], Callable[[], None]]
 
 def convert(
     source: Path | str,
-    target: Path | str,
+    target: Path | str | Storage,
     options: ConvertOptions | None = None,
     *,
     progress: Progress | None = None,
@@ -46,9 +50,10 @@ def convert(
     ----------
     source : path
         The dataset's folder; nothing in it is written to.
-    target : path
+    target : path or URL
         The store's folder, ending in .zarr by custom. It is written in a hidden folder beside its
-        place and gets its name when it is complete; until then what is there stays.
+        place and gets its name when it is complete; until then what is there stays. Of a URL, see
+        `nimprep.conversion.object_workspace`.
     options : ConvertOptions, optional
     progress : callable, optional
         Called with a step's name and its number of frames; what it returns is called after each.
@@ -70,12 +75,21 @@ def convert(
         The target cannot be written, must not be, or holds the beginning of another conversion.
     """
     options = replace(options or ConvertOptions(), **changes)
-    source, target = Path(source), Path(target)
-    check_apart(source, target)
+    if is_url(source):
+        raise LayoutError(f"{source}: expected a folder to read, local or mounted, found a URL")
+    source, storage = Path(source), storage_from(target)
+    if isinstance(storage, LocalStorage):
+        check_apart(source, storage.root)
     start = progress or (lambda step, frames: lambda: None)
+    if options.scheduler is not None:
+        from nimprep.conversion.distributed import check_scheduler
+
+        check_scheduler(options.scheduler)
     reader = open_reader(source, options.reader, options.reading)
-    with open_workspace(target, overwrite=options.overwrite) as workspace:
-        run = _Run(source, reader, options, workspace, Journal(workspace.journal, str(target)))
+    # Splits are made before anything is written: a wrong split file must not cost a conversion.
+    plan_splits(reader, options, reader.ids)
+    with workspace_at(storage, overwrite=options.overwrite) as workspace:
+        run = Run(source, reader, options, workspace, Journal(workspace.journal, str(storage)))
         run.prepare(start)
         run.encode(start)
         run.finish()
@@ -83,11 +97,17 @@ def convert(
     # Said last, beside the summary: at the start it would scroll away, and bad data gets one line.
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
-    return open_store(target)
+    return open_store(storage)
 
 
-class _Run:
-    """One conversion, from its plan to the finished store in the workspace."""
+class Run:
+    """One conversion, from its plan to the finished store in the workspace.
+
+    Parameters
+    ----------
+    base : Base, optional
+        The store that the frames are to be appended to: then `finish` is the caller's.
+    """
 
     def __init__(
         self,
@@ -96,17 +116,20 @@ class _Run:
         options: ConvertOptions,
         workspace: Workspace,
         journal: Journal,
+        base: Base | None = None,
     ) -> None:
         self._source = source
         self._reader = reader
         self._options = options
         self._workspace = workspace
         self._journal = journal
+        self._base = base
         self._workers = options.workers or available_cores()
 
     def prepare(self, start: Progress) -> None:
         """Plan anew, or take up the plan of a conversion that was cut short."""
-        states = _states(self._reader, self._options)
+        skip = self._options.on_error == "skip"
+        states = frame_states(self._reader, skip_bad=skip)
         plan = None if self._options.restart else self._journal.plan()
         if plan is None:
             self._workspace.clear()
@@ -117,9 +140,10 @@ class _Run:
         if margins is not None:
             self._reader = CroppedReader(self._reader, margins)
         layout = plan_layout(self._reader, self._options)
-        # Splits are made before anything is written: a wrong split file must not cost a conversion.
-        plan_splits(self._reader, self._options, self._reader.ids)
-        self._job = Job(self._source, self._options, margins, layout, states, self._workspace.store)
+        if self._base is not None:
+            layout = replace(layout, height=self._base.height, width=self._base.width)
+        store = self._workspace.store
+        self.job = Job(self._source, self._options, margins, layout, states, store, self._base)
         if plan is not None:
             self._drop_lost()
             self._drop_mended(plan)
@@ -137,13 +161,13 @@ class _Run:
     def _drop_lost(self) -> None:
         """Forget the units whose shards are not there, such as those of a store in its place."""
         there = set(self._workspace.store.keys())
-        writer = StoreWriter(self._workspace.store, self._job.layout)
+        writer = StoreWriter(self._workspace.store, self.job.layout)
         records = self._journal.records()
         frames = sum(len(record.frames) for record in records.values())
-        shards = range(-(-frames // self._job.layout.shard_length))
+        shards = range(-(-frames // self.job.layout.shard_length))
         for record in records.values():
             numbers = shards if self._journal.packed else [record.number] if record.frames else []
-            keys = {writer.shard_key(m, n) for m in self._job.layout.modalities for n in numbers}
+            keys = {writer.shard_key(m, n) for m in self.job.layout.modalities for n in numbers}
             if keys - there:
                 self._drop(record)
 
@@ -158,16 +182,16 @@ class _Run:
         """Forget the units with bad frames that were mended since, or may no longer be skipped."""
         for record in self._journal.records().values():
             bad = [frame.id for frame in record.skipped]
-            mended = any(plan["files"].get(i) != _listed(self._job.states[i]) for i in bad)
+            mended = any(plan["files"].get(i) != listed_state(self.job.states[i]) for i in bad)
             if mended or (bad and self._options.on_error == "stop"):
                 self._drop(record)
 
     def _describe(self, ids: Sequence[str]) -> dict[str, Any]:
-        return describe(self._reader, self._job.layout, self._options, ids)
+        return describe(self._reader, self.job.layout, self._options, ids)
 
     def encode(self, start: Progress) -> None:
         """Encode and write the units that are not done yet."""
-        units = self._job.units()
+        units = self.job.units()
         records = self._journal.records()
         todo = [number for number in range(len(units)) if number not in records]
         total = len(self._reader.ids)
@@ -176,8 +200,11 @@ class _Run:
         for _ in range(before):
             done()
         try:
-            for record in encode_units(self._job, self._reader, todo, self._workers, done):
-                self._journal.record(record)
+            encode_units = _encoder(self._options)
+            encoding = encode_units(self.job, self._reader, todo, self._workers, done)
+            with closing(encoding):
+                for record in encoding:
+                    self._journal.record(record)
         except (NimprepError, KeyboardInterrupt) as error:
             if isinstance(error, NimprepError) and error.frame_id is not None:
                 self._journal.note_failure(error.frame_id)
@@ -189,16 +216,28 @@ class _Run:
         if kept:
             error.add_note(f"{kept} of {total} frames are kept: the same command goes on from them")
 
-    def finish(self) -> None:
-        """Close the gaps of skipped frames, write the tables, and complete the store."""
+    def records(self) -> list[UnitRecord]:
+        """Return what is known of the units, all of which are done.
+
+        Raises
+        ------
+        DecodeError
+            Not one frame is good.
+        """
         records = [record for _, record in sorted(self._journal.records().items())]
-        facts = list(chain.from_iterable(record.frames for record in records))
-        skipped = list(chain.from_iterable(record.skipped for record in records))
-        if not facts:
+        if not any(record.frames for record in records):
+            skipped = list(chain.from_iterable(record.skipped for record in records))
             raise DecodeError(
                 f"{self._source}: expected at least one good frame, found {len(skipped)} bad ones, "
                 f"first {skipped[0].id!r}: {skipped[0].reason}"
             )
+        return records
+
+    def finish(self) -> None:
+        """Close the gaps of skipped frames, write the tables, and complete the store."""
+        records = self.records()
+        facts = list(chain.from_iterable(record.frames for record in records))
+        skipped = list(chain.from_iterable(record.skipped for record in records))
         self._pack(records)
         ids = [frame.id for frame in facts]
         attributes = {
@@ -207,32 +246,24 @@ class _Run:
             "depth_percentiles_m": depth_percentiles(self._journal.depth_counts()),
             "source": {"digest": source_digest(facts)},
         }
-        layout = replace(self._job.layout, frames=len(facts))
+        layout = replace(self.job.layout, frames=len(facts))
         splits = plan_splits(self._reader, self._options, ids)
         StoreWriter(self._workspace.store, layout).finish(tables(facts, splits), attributes)
 
     def _pack(self, records: Sequence[UnitRecord]) -> None:
         lengths = [len(record.frames) for record in records]
-        if is_packed(lengths, self._job.layout.shard_length):
+        if is_packed(lengths, self.job.layout.shard_length):
             return
         if not self._journal.packed:
-            pack_shards(self._workspace.store, self._job.layout, lengths)
+            pack_shards(self._workspace.store, self.job.layout, lengths)
             self._journal.note_packed()
         forget_packing(self._workspace.store)
 
 
-def _states(reader: Reader, options: ConvertOptions) -> dict[str, tuple[FileState, ...]]:
-    """Return the state of every frame's files; one that cannot be asked for has none."""
-    states: dict[str, tuple[FileState, ...]] = {}
-    for frame_id in reader.ids:
-        try:
-            states[frame_id] = frame_state(reader, frame_id)
-        except DecodeError:
-            if options.on_error != "skip":
-                raise
-            states[frame_id] = ()
-    return states
+def _encoder(options: ConvertOptions) -> Callable[..., Generator[UnitRecord]]:
+    """Return what encodes units: threads of this process, or a cluster's."""
+    if options.scheduler is None:
+        return encode_units_here
+    from nimprep.conversion.distributed import encode_units
 
-
-def _listed(state: tuple[FileState, ...]) -> list[list[Any]]:
-    return [list(file) for file in state]
+    return encode_units

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from nimprep.errors import DecodeError
 from nimprep.readers import Reader
@@ -31,6 +32,35 @@ def frame_state(reader: Reader, frame_id: str) -> tuple[FileState, ...]:
             ) from error
         states.append((_name(reader, path), found.st_size, found.st_mtime_ns))
     return tuple(states)
+
+
+def frame_states(reader: Reader, *, skip_bad: bool = False) -> dict[str, tuple[FileState, ...]]:
+    """Return the state of every frame's files.
+
+    Parameters
+    ----------
+    skip_bad : bool
+        A frame that has a file which cannot be asked for has no state, and is no error.
+
+    Raises
+    ------
+    DecodeError
+        A file is gone.
+    """
+    states: dict[str, tuple[FileState, ...]] = {}
+    for frame_id in reader.ids:
+        try:
+            states[frame_id] = frame_state(reader, frame_id)
+        except DecodeError:
+            if not skip_bad:
+                raise
+            states[frame_id] = ()
+    return states
+
+
+def listed_state(state: tuple[FileState, ...]) -> list[list[Any]]:
+    """Return a state as JSON has it."""
+    return [list(file) for file in state]
 
 
 def _name(reader: Reader, path: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from collections.abc import Iterator
@@ -12,8 +13,12 @@ from typing import Protocol
 from filelock import FileLock, Timeout
 
 from nimprep.errors import StoreError
+from nimprep.store.metadata import ROOT, sync_folder, write_file
 from nimprep.store.storage import LocalStorage, Storage
-from nimprep.store.writer import check_target, move_into_place
+from nimprep.store.writer import OLD, check_target, move_into_place, put_back
+
+_NOTE = "publishing"
+"""Which store is being given its name, while it is."""
 
 
 class Workspace(Protocol):
@@ -51,31 +56,78 @@ class LocalWorkspace:
         The store's folder.
     overwrite : bool
         Whether a complete store there may be replaced.
+    task : str
+        A part of the folder for what is not a conversion, so that neither takes the other's
+        journal for its own; "" = the folder itself.
+
+    Attributes
+    ----------
+    published : bool
+        Whether an earlier run of the task was killed when its store had its name already.
     """
 
-    def __init__(self, target: Path, *, overwrite: bool) -> None:
+    def __init__(self, target: Path, *, overwrite: bool, task: str = "") -> None:
         self.target = target.absolute()
         self.folder = self.target.with_name(f".{self.target.name}.partial")
-        self.store = LocalStorage(self.folder / "store")
-        self.journal = LocalStorage(self.folder / "journal")
+        self.place = self.folder / task
+        self.store = LocalStorage(self.place / "store")
+        self.joined = LocalStorage(self.place / "joined")
+        self.journal = LocalStorage(self.place / "journal")
+        self.published = False
         self._overwrite = overwrite
 
     def clear(self) -> None:
         """Remove what an earlier conversion left here."""
-        for storage in (self.journal, self.store):
+        for storage in (self.journal, self.store, self.joined):
             storage.remove("")
 
-    def publish(self) -> None:
-        """Rename the store into its place."""
-        self.store.remove_partial()
-        _sync_files(self.store.root)
-        move_into_place(self.store.root, self.target, overwrite=self._overwrite)
-        shutil.rmtree(self.folder, ignore_errors=True)
+    def publish(self, storage: LocalStorage | None = None) -> None:
+        """Rename a store into its place, this workspace's `store` if no other is named."""
+        storage = storage or self.store
+        storage.remove_partial()
+        _sync_files(storage.root)
+        # Two folders may change names at once; the note tells afterwards which is which.
+        note = f"{storage.root.name} {_root_digest(storage.root)}"
+        write_file(self.place / _NOTE, [note.encode()])
+        move_into_place(storage.root, self.target, overwrite=self._overwrite)
+        shutil.rmtree(self.place, ignore_errors=True)
+
+    def recover(self) -> None:
+        """Undo or finish what a kill during `publish` left, of whatever task: no store is lost."""
+        for note in (*self.folder.glob(_NOTE), *self.folder.glob(f"*/{_NOTE}")):
+            self._recover(note)
+
+    def _recover(self, note: Path) -> None:
+        name, _, digest = note.read_text().partition(" ")
+        root = note.with_name(name)
+        put_back(root, self.target)
+        if note.parent == self.place:
+            self.published = _root_digest(self.target) == digest
+        shutil.rmtree(root.with_suffix(OLD), ignore_errors=True)
+        if _root_digest(root) != digest:
+            shutil.rmtree(root, ignore_errors=True)
+        note.unlink()
+
+    def leave(self) -> None:
+        """Leave nothing behind but what a later run can go on from."""
+        if not self.journal.keys("units"):
+            for storage in (self.journal, self.store, self.joined):
+                shutil.rmtree(storage.root, ignore_errors=True)
+        for folder in (self.place, self.folder):
+            if folder.is_dir() and {path.name for path in folder.iterdir()} <= {"lock"}:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _root_digest(store: Path) -> str:
+    try:
+        return hashlib.sha256((store / ROOT).read_bytes()).hexdigest()
+    except OSError:
+        return "none"
 
 
 @contextmanager
-def open_workspace(target: Path, *, overwrite: bool) -> Iterator[LocalWorkspace]:
-    """Lock the place beside a target for as long as the context lasts.
+def open_workspace(target: Path, *, overwrite: bool, task: str = "") -> Iterator[LocalWorkspace]:
+    """Lock the place beside a target for as long as the context lasts, for whatever task.
 
     The lock goes with the process that holds it, however that ends. Where nothing was done that
     the next run could go on from, nothing is left.
@@ -86,7 +138,7 @@ def open_workspace(target: Path, *, overwrite: bool) -> Iterator[LocalWorkspace]
         Another process converts into the target, it must not be replaced, or cannot be written.
     """
     check_target(target, overwrite=overwrite)
-    workspace = LocalWorkspace(target, overwrite=overwrite)
+    workspace = LocalWorkspace(target, overwrite=overwrite, task=task)
     lock = FileLock(workspace.folder / "lock")
     try:
         workspace.folder.mkdir(parents=True, exist_ok=True)
@@ -103,18 +155,21 @@ def open_workspace(target: Path, *, overwrite: bool) -> Iterator[LocalWorkspace]
             "choose another name"
         )
     try:
+        workspace.recover()
+        check_target(target, overwrite=overwrite)
         workspace.store.remove_partial()
         yield workspace
     finally:
-        if not workspace.journal.keys("units"):
-            shutil.rmtree(workspace.folder, ignore_errors=True)
+        workspace.leave()
         lock.release()
 
 
 def _sync_files(folder: Path) -> None:
-    """Put every file on the disk: a power failure after the renaming must not empty one."""
-    for path in folder.rglob("*"):
-        if path.is_file():
+    """Put everything on the disk: a power failure after the renaming must not empty a file."""
+    for path in (folder, *folder.rglob("*")):
+        if path.is_dir():
+            sync_folder(path)
+        else:
             descriptor = os.open(path, os.O_RDONLY)
             try:
                 os.fsync(descriptor)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,19 +11,11 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
 from nimprep.derive.kernels.normals import nim_rows
-from nimprep.derive.threads import available_cores, run_blocks
+from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
 
-_KERNELS = {"nim": nim_rows}
-
-METHODS = tuple(_KERNELS)
+METHODS = ("nim", "nim-edge")
 """What `estimate_normals` takes as `method`."""
-
-# Blocks for each thread: the last to end then keeps the others waiting for little.
-_BLOCKS_PER_THREAD = 4
-
-# Below this many pixels a block costs less than handing it to a thread.
-_LEAST_BLOCK_PIXELS = 1 << 14
 
 
 def estimate_normals(
@@ -32,6 +25,7 @@ def estimate_normals(
     sign_filter: bool = False,
     out: npt.NDArray[np.float32] | None = None,
     num_threads: int | None = None,
+    noise: float | None = None,
 ) -> npt.NDArray[np.float32]:
     """Estimate surface normals from a depth image.
 
@@ -43,8 +37,11 @@ def estimate_normals(
         Of the image's size.
     method : str
         "nim", the paper's: the gradient of inverse depth gives n_x and n_y; each of the four
-        neighbours whose depth differs gives an n_z, and the unit vectors are summed.
+        neighbours whose depth differs gives an n_z, and the unit vectors are summed. "nim-edge":
+        the same n_x and n_y from differences that cross no depth edge, n_z from the plane that
+        they and the pixel lie in, smoothed as far as the image is noisy.
     sign_filter : bool
+        Of "nim" alone, which "nim-edge" refuses as it has no n_z to choose among.
         Sum only the neighbours whose n_z has the majority's sign, before orientation. A tie
         counts as positive. An n_z of exactly 0 has no sign: it is left out unless all are 0.
     out : (H, W, 3) float32, C-contiguous, optional
@@ -53,6 +50,11 @@ def estimate_normals(
         None = all cores; 1 = the calling thread alone. Safe to call from many threads at once,
         which beats threads within a frame where there are many frames. The result is the same
         to the bit.
+    noise : float, optional
+        Of "nim-edge" alone: the standard deviation of inverse depth, 1/m, at every distance alike,
+        as a stereo camera's is: that of its disparity by focal length (both in pixels) times
+        baseline (m). 0 = none: edges are kept and nothing is smoothed. None = estimated from the
+        image, as one standard deviation either of inverse depth or of depth.
 
     Returns
     -------
@@ -60,45 +62,65 @@ def estimate_normals(
         Unit vectors (n_x, n_y, n_z) in the camera frame (x right, y down, z forward), pointing at
         the camera: n·P <= 0. (0, 0, 0) exactly where there is no depth. At the border and beside
         holes from the neighbours there are: a difference with one of its two sides missing is
-        one-sided and doubled, with both missing 0. Where no neighbour's depth differs, or the
-        gradient is exactly 0, (0, 0, -1).
+        one-sided and doubled (by "nim"), with both missing 0. Where no neighbour's depth differs,
+        or the gradient is exactly 0, (0, 0, -1).
 
     Raises
     ------
     ArrayError
         The depth is no floating (H, W) array of the camera's size or holds negative or infinite
-        values; `out` does not fit; `method` is unknown; `num_threads` is not positive.
+        values; `out` does not fit; `method` is unknown, or has no such option; `noise` is
+        negative or not finite; `num_threads` is not positive.
 
     References
     ----------
     Wang et al., "Applying surface normal information in drivable area and road anomaly detection
     for ground mobile robots", IROS 2020.
     """
-    if method not in _KERNELS:
-        known = ", ".join(repr(name) for name in METHODS)
-        raise ArrayError(f"method: expected one of {known}, found {method!r}")
-    kernel = _KERNELS[method]
+    check_method(method, sign_filter, noise)
     depth = checked_depth(depth_m, camera)
     height, width = depth.shape
     normal = np.empty((height, width, 3), np.float32) if out is None else _checked_out(out, depth)
     flat = normal.reshape(height, 3 * width)
-    rows = _rows_per_block(height, width, num_threads)
+    if method == "nim-edge":
+        from nimprep.derive.normals_edge import edge_normals
 
-    def run(block: int) -> None:
-        start, stop = block * rows, min((block + 1) * rows, height)
-        kernel(
+        edge_normals(depth, camera, noise, num_threads, flat)
+        return normal
+
+    def rows(start: int, stop: int) -> None:
+        nim_rows(
             depth, start, stop, camera.fx, camera.fy, camera.cx, camera.cy, bool(sign_filter), flat
         )
 
-    run_blocks(run, -(-height // rows), num_threads)
+    run_rows(rows, depth.shape, num_threads)
     return normal
 
 
-def _rows_per_block(height: int, width: int, num_threads: int | None) -> int:
-    if num_threads == 1:
-        return height
-    threads = num_threads or available_cores()
-    return max(-(-height // (threads * _BLOCKS_PER_THREAD)), _LEAST_BLOCK_PIXELS // width, 1)
+def check_method(method: str, sign_filter: bool = False, noise: float | None = None) -> None:
+    """Check that a method exists and has the options given, and load its kernels.
+
+    Loading compiles them when they are first used on a machine. That takes seconds, and should be
+    done before processes start that would all do it.
+
+    Raises
+    ------
+    ArrayError
+        As `estimate_normals` does.
+    """
+    if method not in METHODS:
+        known = ", ".join(repr(name) for name in METHODS)
+        raise ArrayError(f"method: expected one of {known}, found {method!r}")
+    if method == "nim-edge":
+        import nimprep.derive.normals_edge  # noqa: F401
+    if method == "nim-edge" and sign_filter:
+        raise ArrayError("sign_filter: expected False with 'nim-edge', found True; 'nim' has it")
+    if noise is None:
+        return
+    if method != "nim-edge":
+        raise ArrayError(f"noise: expected None with {method!r}, found {noise}; 'nim-edge' has it")
+    if not 0 <= noise < math.inf:
+        raise ArrayError(f"noise: expected a finite number >= 0, 1/m, found {noise!r}")
 
 
 def _checked_out(out: Any, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

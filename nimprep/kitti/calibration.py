@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.errors import DecodeError
+from nimprep.files import read_file
 
 Matrix = npt.NDArray[np.float64]
 
@@ -137,15 +138,7 @@ def read_calibration(path: Path | str) -> Calibration:
         not finite, or is no camera or rotation.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-    except OSError as error:
-        raise DecodeError(f"{path}: expected a calibration file, found {error.strerror}") from error
-    if len(data) > _MAX_BYTES:
-        raise DecodeError(
-            f"{path}: expected a calibration file, found more than {_MAX_BYTES} bytes"
-        )
+    data = read_file(path, _MAX_BYTES, "a calibration file")
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:

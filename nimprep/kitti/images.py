@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
-from nimprep.images import read_header, read_label
+from nimprep.images import read_array, read_header, read_label
 
 _PNG_LEVEL = 2
 """zlib's level for PNGs written here: levels 3 to 6 take up to twice as long for 3 to 12 % less."""
@@ -56,10 +56,7 @@ def read_confidence(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def _confidence_from_probability(path: Path) -> npt.NDArray[np.uint8]:
-    try:
-        array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise DecodeError(f"{path}: expected a NumPy array file, found {error}") from error
+    array = read_array(path)
     if array.ndim != 2 or array.size == 0 or not np.issubdtype(array.dtype, np.floating):
         raise DecodeError(
             f"{path}: expected probabilities as a floating (H, W) array, "

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import ArrayError, DecodeError
+from nimprep.files import read_file
 from nimprep.kitti.calibration import Calibration
 
 _BYTES_PER_POINT = 16
@@ -29,15 +30,7 @@ def read_velodyne(path: Path | str) -> npt.NDArray[np.float32]:
         It cannot be read, is empty, holds a part of a point, or a number that is not finite.
     """
     path = Path(path)
-    try:
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
-            raise DecodeError(
-                f"{path}: expected a scan of at most {_MAX_BYTES} bytes, found {size}"
-            )
-        data = path.read_bytes()
-    except OSError as error:
-        raise DecodeError(f"{path}: expected a Velodyne scan, found {error.strerror}") from error
+    data = read_file(path, _MAX_BYTES, "a Velodyne scan")
     if not data or len(data) % _BYTES_PER_POINT:
         raise DecodeError(
             f"{path}: expected whole points of {_BYTES_PER_POINT} bytes, found {len(data)} bytes; "

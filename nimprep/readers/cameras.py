@@ -64,15 +64,20 @@ def camera_from_intrinsics(intrinsics: tuple[float, float, float, float]) -> Cam
     return CameraSource("user", "--intrinsics", intrinsics)
 
 
-def camera_from_file(path: Path) -> CameraSource:
+def camera_from_file(path: Path, *, pipes: bool = True) -> CameraSource:
     """Read a camera file (schemas/camera.schema.json).
+
+    Parameters
+    ----------
+    pipes : bool
+        Take a pipe too, as the user may name one.
 
     Raises
     ------
     CameraError
         It is missing, no JSON, or no camera.
     """
-    return camera_from_document(read_json(path, CameraError), str(path))
+    return camera_from_document(read_json(path, CameraError, pipes=pipes), str(path))
 
 
 def camera_from_document(document: Any, where: str) -> CameraSource:

@@ -11,7 +11,11 @@ from typing import Any
 
 from nimprep.errors import LayoutError
 from nimprep.frame import IGNORE_LABEL, LabelClass
+from nimprep.readers.patterns import capture
 from nimprep.schema import check_json, read_json
+
+MAX_FILES = 1 << 22
+"""A dataset's folder with more files is refused: a link led somewhere it should not."""
 
 
 @dataclass(frozen=True)
@@ -105,19 +109,6 @@ def _raw_value(key: str) -> int | tuple[int, int, int]:
     return int(key)
 
 
-def _pattern_regex(pattern: str, placeholder: str, span: str) -> re.Pattern[str]:
-    """Translate a glob pattern: * and ? stay in a folder, ** crosses, {placeholder} captures."""
-    parts = []
-    for token in re.split(r"(\{\w+\}|\*\*/?|\*|\?)", pattern):
-        if token == f"{{{placeholder}}}":
-            parts.append(span)
-        elif token.startswith("**"):
-            parts.append(r"(?:.*/)?" if token.endswith("/") else r".*")
-        else:
-            parts.append({"*": "[^/]*", "?": "[^/]"}.get(token, re.escape(token)))
-    return re.compile("".join(parts), re.DOTALL | re.IGNORECASE)
-
-
 def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
     """Return {frame id: file} for a pattern with ``{id}``.
 
@@ -132,28 +123,34 @@ def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
         raise LayoutError(
             f"{root}: expected a pattern below the folder with one {{id}}, found {pattern!r}"
         )
-    regex = _pattern_regex(pattern, "id", "(?P<id>.+)")
     fixed = re.split(r"[^/]*[*?{]", pattern, maxsplit=1)[0]
     start = root / fixed
-    if not start.is_dir():
+    # Path.is_dir raises where a name is too long for any file.
+    if not os.path.isdir(start):  # noqa: PTH112
         raise LayoutError(f"{start}: expected a folder with files {pattern!r}, found none")
     found: dict[str, Path] = {}
-    for path in _files_below(start):
-        match = regex.fullmatch(path.relative_to(root).as_posix())
-        if match is not None:
-            if not match["id"].isprintable():
-                raise LayoutError(f"{path!a}: expected a printable file name, found another")
-            if match["id"] in found:
-                raise LayoutError(
-                    f"{path}: expected one file per id {match['id']!r}, found "
-                    f"{found[match['id']]} too; put more of the path into {{id}}"
-                )
-            found[match["id"]] = path
+    for path in _files_below(start, root):
+        frame_id = capture(pattern, path.relative_to(root).as_posix(), "id")
+        if frame_id is None:
+            continue
+        if not frame_id.isprintable():
+            raise LayoutError(f"{path!a}: expected a printable file name, found another")
+        if frame_id in found:
+            raise LayoutError(
+                f"{path}: expected one file per id {frame_id!r}, found "
+                f"{found[frame_id]} too; put more of the path into {{id}}"
+            )
+        found[frame_id] = path
     return found
 
 
-def _files_below(start: Path) -> Iterator[Path]:
-    """Yield files in order, through links, each folder once; hidden ones are passed over."""
+def _files_below(start: Path, root: Path) -> Iterator[Path]:
+    """Yield files in order, each folder once; hidden ones are passed over.
+
+    Links are followed, as datasets are often spread over disks, and only ever read through: to
+    files wherever they are, to folders too unless they lead to the dataset's own folder or one
+    above it. Such a link would bring in the whole disk, the dataset again included.
+    """
 
     def refuse(error: OSError) -> None:
         raise LayoutError(
@@ -161,12 +158,21 @@ def _files_below(start: Path) -> Iterator[Path]:
         ) from error
 
     seen: set[str] = set()
+    count, home = 0, Path(os.path.realpath(root))
     for folder, subfolders, names in os.walk(start, onerror=refuse, followlinks=True):
         real = os.path.realpath(folder)
         if real in seen:
             subfolders.clear()
             continue
+        if home.is_relative_to(real) and Path(folder) != root:
+            raise LayoutError(
+                f"{folder}: expected a link into the dataset or away from it, found one to {real}, "
+                "which holds the dataset; remove the link"
+            )
         seen.add(real)
+        count += len(names) + 1
+        if count > MAX_FILES:
+            raise LayoutError(f"{start}: expected at most {MAX_FILES} files, found more")
         subfolders[:] = sorted(s for s in subfolders if not s.startswith("."))
         for name in sorted(n for n in names if not n.startswith(".")):
             path = Path(folder, name)
@@ -177,7 +183,4 @@ def _files_below(start: Path) -> Iterator[Path]:
 
 def group_of(frame_id: str, pattern: str | None) -> str:
     """Return the scene in a frame id by a pattern with ``{group}``; "" where it does not fit."""
-    if pattern is None:
-        return ""
-    match = _pattern_regex(pattern, "group", "(?P<group>.+?)").fullmatch(frame_id)
-    return match["group"] if match else ""
+    return "" if pattern is None else capture(pattern, frame_id, "group", lazy=True) or ""

@@ -98,8 +98,12 @@ class FolderReader:
         if described is None:
             return nominal_camera(), {}
         if "{id}" not in described:
+            if ".." in described.split("/"):
+                raise LayoutError(
+                    f"{self.root}: expected a camera file below the folder, found {described!r}"
+                )
             self._shared = (self.root / described,)
-            return camera_from_file(self.root / described), {}
+            return camera_from_file(self.root / described, pipes=False), {}
         files = files_by_id(self.root, described)
         match_frames({"camera": files, "rgb": self._files["rgb"]}, self.root)
         return None, files
@@ -133,7 +137,7 @@ class FolderReader:
         raw: dict[str, npt.NDArray[Any]] = {n: decode[n](path) for n, path in paths.items()}
         check_same_shape({paths[n]: image for n, image in raw.items()})
         height, width = next(iter(raw.values())).shape[:2] if raw else self.shape(frame_id)
-        source = self._camera or camera_from_file(self._cameras[frame_id])
+        source = self._camera or camera_from_file(self._cameras[frame_id], pipes=False)
         return Frame(
             id=frame_id,
             camera=source.camera(height, width, frame_id),

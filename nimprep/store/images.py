@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import os
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +14,24 @@ import numpy.typing as npt
 from nimprep.errors import StoreError
 from nimprep.frame import MAX_PIXELS
 from nimprep.store.buffers import empty
-from nimprep.store.metadata import read_document
-from nimprep.store.shards import decode_chunk, read_chunk, read_index
+from nimprep.store.metadata import ROOT, read_document
+from nimprep.store.shards import (
+    MISSING,
+    check_chunk,
+    chunk_span,
+    decode_chunk,
+    parse_index,
+    read_chunk,
+    read_index,
+)
 from nimprep.store.spec import MAX_FRAMES, ArraySpec
+from nimprep.store.storage import LocalStorage, Storage
+
+Index = npt.NDArray[np.uint64]
+"""Of a shard: see `nimprep.store.shards.read_index`."""
+
+_CHUNK_OVERHEAD = 20
+"""What a chunk can be larger than its image by: Blosc's header and the checksum."""
 
 
 class ImageArray:
@@ -23,12 +41,14 @@ class ImageArray:
 
     Parameters
     ----------
-    store : Path
-        The store's folder.
+    storage : Storage
+        Of the store.
     name : str
         The modality.
     spec : ArraySpec
         What the format says of it.
+    document : dict, optional
+        The array's metadata, where it has been read already.
 
     Raises
     ------
@@ -36,32 +56,105 @@ class ImageArray:
         The array is missing or not laid out as the format says.
     """
 
-    def __init__(self, store: Path, name: str, spec: ArraySpec) -> None:
-        self.path = store / name
+    def __init__(
+        self,
+        storage: Storage,
+        name: str,
+        spec: ArraySpec,
+        document: dict[str, Any] | None = None,
+    ) -> None:
+        self.name = name
         self.spec = spec
-        document = read_document(self.path / "zarr.json")
+        self._storage = storage
+        self._root = storage.root if isinstance(storage, LocalStorage) else None
+        document = document or read_document(storage, f"{name}/{ROOT}")
         problems = layout_problems(document, spec)
         if problems:
-            raise StoreError(f"{self.path / 'zarr.json'}: {problems[0]}")
+            raise StoreError(f"{storage}/{name}/{ROOT}: {problems[0]}")
         self.shape: tuple[int, ...] = tuple(document["shape"])
         self.dtype = np.dtype(document["data_type"])
         self.shard_length: int = document["chunk_grid"]["configuration"]["chunk_shape"][0]
-        self._shards: dict[int, tuple[Path, npt.NDArray[np.uint64]]] = {}
+        self._shards: dict[int, tuple[Path, Index]] = {}
+        self._indices: dict[int, Index] = {}
+        self._asked: dict[tuple[int, int], Future[Index]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_asked": {}}
 
     def __len__(self) -> int:
         return self.shape[0]
 
-    def shard_path(self, shard: int) -> Path:
-        """Return the file of a shard."""
-        return self.path.joinpath("c", str(shard), *["0"] * (len(self.shape) - 1))
+    @property
+    def shards(self) -> range:
+        """The numbers of the shards."""
+        return range(-(-len(self) // self.shard_length))
+
+    def shard_key(self, shard: int) -> str:
+        """Return where a shard lies in the store."""
+        return "/".join((self.name, "c", str(shard), *["0"] * (len(self.shape) - 1)))
+
+    def read_index(self, shard: int) -> Index:
+        """Return a shard's index, read anew.
+
+        Raises
+        ------
+        StoreError
+            The shard is missing, too short, or its index is damaged.
+        """
+        key = self.shard_key(shard)
+        if isinstance(self._storage, LocalStorage):
+            index = read_index(self._storage.locate(key), self.shard_length)
+        else:
+            data, size = self._storage.read_tail(key, 16 * self.shard_length + 4)
+            index = parse_index(data, self.shard_length, size, f"{self._storage}/{key}")
+        largest = math.prod(self.shape[1:]) * self.dtype.itemsize + _CHUNK_OVERHEAD
+        if (index[index[:, 0] != MISSING, 1] > largest).any():
+            raise StoreError(
+                f"{self._storage}/{key}: expected chunks of at most {largest} bytes, found a larger"
+            )
+        return index
 
     def fetch(self, frame: int) -> npt.NDArray[np.uint8] | None:
         """Return a frame's checked, still compressed chunk; None where it is all fill value."""
         shard, position = divmod(frame, self.shard_length)
+        if self._root is None:
+            return self._requested(shard, position)
         if shard not in self._shards:
-            path = self.shard_path(shard)
-            self._shards[shard] = path, read_index(path, self.shard_length)
+            self._shards[shard] = self._root / self.shard_key(shard), self.read_index(shard)
         return read_chunk(*self._shards[shard], position)
+
+    def _requested(self, shard: int, position: int) -> npt.NDArray[np.uint8] | None:
+        """Return a chunk by one request, after one for the index at the first of a shard."""
+        span = chunk_span(self._index_once(shard), position)
+        if span is None:
+            return None
+        offset, length = span
+        found = self._storage.read_range(self.shard_key(shard), offset, length)
+        data = empty((length,), np.uint8)
+        data[: len(found)] = np.frombuffer(found, dtype=np.uint8)
+        check_chunk(data, len(found), position, f"{self._storage}/{self.shard_key(shard)}")
+        return data
+
+    def _index_once(self, shard: int) -> Index:
+        """Return a shard's index; of several threads that need it one asks, and the others wait."""
+        if shard in self._indices:
+            return self._indices[shard]
+        # By process: a fork leaves behind the thread that would have brought the answer.
+        asked = (os.getpid(), shard)
+        mine: Future[Index] = Future()
+        first = self._asked.setdefault(asked, mine)
+        if first is mine:
+            try:
+                # Another thread's request may have come back since this one looked.
+                if shard not in self._indices:
+                    self._indices[shard] = self.read_index(shard)
+                mine.set_result(self._indices[shard])
+            except BaseException as error:
+                mine.set_exception(error)
+                raise
+            finally:
+                del self._asked[asked]
+        return first.result()
 
     def decode(
         self, packed: npt.NDArray[np.uint8] | None, out: npt.NDArray[Any], frame: int
@@ -70,7 +163,7 @@ class ImageArray:
         if packed is None:
             out[...] = self.spec.fill
         else:
-            decode_chunk(packed, out, f"{self.path}: frame {frame}")
+            decode_chunk(packed, out, f"{self._storage}/{self.name}: frame {frame}")
 
     def read(self, frame: int) -> npt.NDArray[Any]:
         """Return one image as stored, padding included.

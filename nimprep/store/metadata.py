@@ -7,15 +7,19 @@ import os
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nimprep.errors import StoreError
+from nimprep.schema import MAX_BYTES, parse_json
 from nimprep.store.spec import check_version
+
+if TYPE_CHECKING:
+    from nimprep.store.storage import Storage
 
 ROOT = "zarr.json"
 
 
-def read_document(path: Path) -> dict[str, Any]:
+def read_document(storage: Storage, key: str) -> dict[str, Any]:
     """Read a zarr.json.
 
     Raises
@@ -23,15 +27,29 @@ def read_document(path: Path) -> dict[str, Any]:
     StoreError
         It is missing, unreadable or no JSON object.
     """
+    data = storage.read(key, MAX_BYTES)
+    if data is None:
+        raise StoreError(f"{storage}/{key}: expected a readable file, found none")
+    return _parsed(data, f"{storage}/{key}")
+
+
+def _parsed(data: bytes, where: str) -> dict[str, Any]:
     try:
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise StoreError(f"{path}: expected a readable file, found {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise StoreError(f"{path}: expected JSON, found {error}") from error
+        document = parse_json(data)
+    except ValueError as error:
+        raise StoreError(f"{where}: expected JSON, found {error}") from error
     if not isinstance(document, dict):
-        raise StoreError(f"{path}: expected a JSON object, found {type(document).__name__}")
+        raise StoreError(f"{where}: expected a JSON object, found {type(document).__name__}")
     return document
+
+
+def consolidated(root: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the arrays' documents by name, as far as a store's root has copies of them."""
+    copies = root.get("consolidated_metadata")
+    found = copies.get("metadata") if isinstance(copies, dict) else None
+    if not isinstance(found, dict):
+        return {}
+    return {name: copy for name, copy in found.items() if isinstance(copy, dict)}
 
 
 def write_file(path: Path, parts: Sequence[bytes]) -> None:
@@ -57,12 +75,12 @@ def write_file(path: Path, parts: Sequence[bytes]) -> None:
         except BaseException:
             partial.unlink(missing_ok=True)
             raise
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
         raise StoreError(f"{path}: expected room to write, found {error.strerror}") from error
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Make the names in a folder last; systems that cannot open folders do so by themselves."""
     if os.name != "posix":
         return
@@ -73,8 +91,17 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def read_attributes(store: Path, *, complete: bool = True) -> dict[str, Any]:
-    """Return the `nimprep` object of a store's root attributes.
+def read_attributes(store: Path | str | Storage, *, complete: bool = True) -> dict[str, Any]:
+    """Return the `nimprep` object of a store's root attributes; see `read_root`."""
+    from nimprep.store.location import storage_from
+
+    attributes: dict[str, Any] = read_root(storage_from(store), complete=complete)["attributes"]
+    found: dict[str, Any] = attributes["nimprep"]
+    return found
+
+
+def read_root(storage: Storage, *, complete: bool = True) -> dict[str, Any]:
+    """Return the document of a store's root, with a `nimprep` object among its attributes.
 
     Parameters
     ----------
@@ -86,28 +113,32 @@ def read_attributes(store: Path, *, complete: bool = True) -> dict[str, Any]:
     StoreError
         There is no store, it is of another program or version, or it is not complete.
     """
-    if not store.exists():
-        raise StoreError(f"{store}: expected a nimprep store, found nothing")
-    if not (store / ROOT).is_file():
-        raise StoreError(f"{store}: expected a nimprep store, found no {ROOT} in it")
-    document = read_document(store / ROOT)
+    data = storage.read(ROOT, MAX_BYTES)
+    if data is None:
+        there = Path(str(storage)).exists()
+        said = f"no {ROOT} in it" if there else "nothing"
+        raise StoreError(f"{storage}: expected a nimprep store, found {said}")
+    document = _parsed(data, f"{storage}/{ROOT}")
     attributes = document.get("attributes")
     found = attributes.get("nimprep") if isinstance(attributes, dict) else None
     if document.get("zarr_format") != 3 or not isinstance(found, dict):
         raise StoreError(
-            f"{store}: expected a nimprep store, found a {ROOT} without 'nimprep' attributes"
+            f"{storage}: expected a nimprep store, found a {ROOT} without 'nimprep' attributes"
         )
-    check_version(found.get("format_version"), str(store))
+    check_version(found.get("format_version"), str(storage))
     if complete and found.get("complete") is not True:
         raise StoreError(
-            f"{store}: expected a complete store, found one whose conversion was cut short; "
+            f"{storage}: expected a complete store, found one whose conversion was cut short; "
             "run nimprep convert again"
         )
-    return found
+    return document
 
 
-def write_attributes(store: Path, attributes: dict[str, Any]) -> None:
+def write_attributes(store: Path | str | Storage, attributes: dict[str, Any]) -> None:
     """Replace the `nimprep` object of a store's root; all else there stays."""
-    document = read_document(store / ROOT)
+    from nimprep.store.location import storage_from
+
+    storage = storage_from(store)
+    document = read_document(storage, ROOT)
     document["attributes"] = {**document["attributes"], "nimprep": attributes}
-    write_file(store / ROOT, [json.dumps(document, indent=2).encode() + b"\n"])
+    storage.write(ROOT, [json.dumps(document, indent=2).encode() + b"\n"])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -18,8 +18,14 @@ from nimprep.schema import check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
 from nimprep.store.frames import StoredFrame, check_size
 from nimprep.store.images import ImageArray
-from nimprep.store.metadata import read_attributes, read_document
-from nimprep.store.spec import MAX_FRAMES, TABLE_SHAPES, TABLES, ArraySpec, image_specs
+from nimprep.store.location import Place, location_from, storage_from
+from nimprep.store.memory import table_key
+from nimprep.store.metadata import ROOT, consolidated, read_document, read_root
+from nimprep.store.spec import TABLE_SHAPES, TABLES, image_specs
+from nimprep.store.storage import LocalStorage, Storage
+from nimprep.store.tables import LARGEST_CHUNK, decode_table
+
+_SLASHES = re.compile(r"[/\\]")
 
 
 @dataclass(frozen=True)
@@ -37,35 +43,40 @@ class Tables:
     channel_sums: npt.NDArray[np.int64]
 
 
-def read_tables(store: Path) -> Tables:
+def read_tables(storage: Storage, copies: Mapping[str, dict[str, Any]] | None = None) -> Tables:
     """Read the per-frame arrays of a store.
+
+    Parameters
+    ----------
+    copies : mapping of str to dict, optional
+        Metadata of arrays that has been read already.
 
     Raises
     ------
     StoreError
         One is missing, damaged, of another dtype or of another length than the others.
     """
-    import zarr
-
+    documents = dict(copies or {})
+    keys = {name: table_key(name) for name in TABLES}
+    chunks = storage.read_many(list(keys.values()), LARGEST_CHUNK)
     arrays: dict[str, npt.NDArray[Any]] = {}
     for name, spec in TABLES.items():
+        where = f"{storage}/{name}"
         try:
-            _check_table(store / name, spec, TABLE_SHAPES.get(name, ()))
-            arrays[name] = np.asarray(zarr.open_array(store / name, mode="r")[...])
+            document = documents.get(name) or read_document(storage, f"{name}/{ROOT}")
+            # A chunk that is gone would be all fill value to a Zarr library.
+            if (chunk := chunks[keys[name]]) is None:
+                raise StoreError(f"{where}: expected its chunk, found none")
+            arrays[name] = decode_table(document, spec, TABLE_SHAPES.get(name, ()), chunk)
         except StoreError:
             raise
-        # Zarr's codecs raise whatever their libraries do; each is this array's damage.
-        except Exception as error:
-            text = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise StoreError(f"{store / name}: expected a readable array, found {text}") from error
+        except ValueError as error:
+            raise StoreError(f"{where}: expected a table in one chunk, found {error}") from error
     lengths = {name: len(values) for name, values in arrays.items()}
     if len(set(lengths.values())) != 1:
-        raise StoreError(f"{store}: expected tables of one length, found {lengths}")
-    for name, spec in TABLES.items():
-        if spec.dtype != "string" and arrays[name].dtype != spec.dtype:
-            raise StoreError(
-                f"{store / name}: expected {TABLES[name].dtype}, found {arrays[name].dtype}"
-            )
+        raise StoreError(f"{storage}: expected tables of one length, found {lengths}")
+    for frame_id in arrays["frame_id"]:
+        _check_id(frame_id, storage)
     return Tables(
         frame_id=tuple(str(i) for i in arrays["frame_id"]),
         split=arrays["split"],
@@ -79,23 +90,14 @@ def read_tables(store: Path) -> Tables:
     )
 
 
-def _check_table(path: Path, spec: ArraySpec, rest: tuple[int, ...]) -> None:
-    """Raise `StoreError` unless a table is one chunk of the shape it should have, and there."""
-    document = read_document(path / "zarr.json")
-    shape = document["shape"]
-    chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
-    if shape[1:] != list(rest) or chunk != shape or not 0 < shape[0] <= MAX_FRAMES:
+def _check_id(frame_id: str, storage: Storage) -> None:
+    """Raise `StoreError` for an id that would lead elsewhere as a file's name: others write it."""
+    parts = _SLASHES.split(frame_id)
+    if not frame_id.isprintable() or not {"", ".", ".."}.isdisjoint(parts):
         raise StoreError(
-            f"{path}: expected (frame, *{rest}) in one chunk, found {shape} in chunks of {chunk}"
+            f"{storage}/frame_id: expected names that files below a folder can have, "
+            f"found {frame_id!a}"
         )
-    if document.get("dimension_names") != list(spec.dims):
-        raise StoreError(
-            f"{path}: expected dimensions {list(spec.dims)}, "
-            f"found {document.get('dimension_names')}"
-        )
-    # Without this, a chunk that is gone reads as if it were all fill value.
-    if not path.joinpath("c", *["0"] * len(shape)).is_file():
-        raise StoreError(f"{path}: expected its chunk, found none")
 
 
 class Store:
@@ -106,7 +108,10 @@ class Store:
 
     Attributes
     ----------
-    path : Path
+    path : Path or str
+        The folder, or the URL.
+    storage : Storage
+        What reads it.
     attributes : dict
         The `nimprep` object of the store's root (schemas/store.schema.json).
     ids : tuple of str
@@ -121,9 +126,15 @@ class Store:
         The image arrays, for reading pixels as they are stored.
     """
 
-    def __init__(self, path: Path, modalities: Collection[str] | None = None) -> None:
+    def __init__(self, place: Place | Storage, modalities: Collection[str] | None = None) -> None:
+        storage = self.storage = storage_from(place)
+        local = isinstance(storage, LocalStorage)
+        path: Place = storage.root if isinstance(storage, LocalStorage) else str(storage)
         self.path = path
-        self.attributes = read_attributes(path)
+        root = read_root(storage)
+        # One request in place of one per array; `validate` compares them with the arrays' own.
+        copies = {} if local else consolidated(root)
+        self.attributes: dict[str, Any] = root["attributes"]["nimprep"]
         check_json(self.attributes, "store", f"{path}: attributes", StoreError)
         self.classes = tuple(
             LabelClass(c["id"], c["name"], tuple(c["color"])) for c in self.attributes["classes"]
@@ -138,13 +149,16 @@ class Store:
                     f"{path}: expected one of the stored modalities {', '.join(stored)}, "
                     f"found {name!r}; convert again with --modalities"
                 )
-        self.tables = read_tables(path)
+        self.tables = read_tables(storage, copies)
         self.ids = self.tables.frame_id
-        self.arrays = {name: ImageArray(path, name, specs[name]) for name in self.modalities}
+        self.arrays = {
+            name: ImageArray(storage, name, specs[name], copies.get(name))
+            for name in self.modalities
+        }
         for name, array in self.arrays.items():
             if array.shape[0] != len(self.ids):
                 raise StoreError(
-                    f"{path / name}: expected {len(self.ids)} frames, found {array.shape[0]}"
+                    f"{path}/{name}: expected {len(self.ids)} frames, found {array.shape[0]}"
                 )
 
     def __len__(self) -> int:
@@ -206,13 +220,14 @@ class Store:
         return dict(zip(self.ids, names, strict=True))
 
 
-def open_store(path: Path | str, modalities: Collection[str] | None = None) -> Store:
+def open_store(path: Place | Storage, modalities: Collection[str] | None = None) -> Store:
     """Open a store for reading.
 
     Parameters
     ----------
-    path : path
-        What `convert` wrote.
+    path : path, URL or storage
+        What `convert` wrote: a folder, or s3://bucket/out.zarr and the like, which needs the extra
+        `cloud`; `nimprep.store.objects.ObjectStorage` for options that no variable sets.
     modalities : collection of str, optional
         Only these images are read; None = all there are.
 
@@ -226,4 +241,4 @@ def open_store(path: Path | str, modalities: Collection[str] | None = None) -> S
     StoreError
         There is no store, it is not complete, of a newer format, or damaged.
     """
-    return Store(Path(path), modalities)
+    return Store(path if isinstance(path, Storage) else location_from(path), modalities)

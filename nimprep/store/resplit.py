@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from nimprep.errors import StoreError
 from nimprep.splits import SPLIT_CODES, SplitName, assign_splits, splits_from_file
-from nimprep.store.metadata import write_attributes
+from nimprep.store.location import Place
+from nimprep.store.memory import encode_table, table_key
+from nimprep.store.metadata import ROOT, write_attributes
 from nimprep.store.reader import open_store
+from nimprep.store.storage import Storage
 
 
 def resplit(
-    path: Path | str,
+    path: Place | Storage,
     *,
     split_file: Path | str | None = None,
     rule: str | None = None,
@@ -60,18 +62,17 @@ def resplit(
         groups = dict(zip(store.ids, store.tables.group, strict=True))
         splits = dict(assign_splits(groups, rule, seed, fixed))
         described = {"rule": rule, "seed": seed}
-    _write(store.path, store.attributes, splits, described)
+    _write(store.storage, store.attributes, splits, described)
     return splits
 
 
 def _write(
-    path: Path, attributes: dict[str, Any], splits: Mapping[str, str], described: dict[str, Any]
+    storage: Storage,
+    attributes: dict[str, Any],
+    splits: Mapping[str, str],
+    described: dict[str, Any],
 ) -> None:
-    import zarr
-
     codes = np.array([SPLIT_CODES[name] for name in splits.values()], dtype=np.uint8)
-    try:
-        zarr.open_array(path / "split", mode="r+")[...] = codes
-    except OSError as error:
-        raise StoreError(f"{path}: expected to write, found {error.strerror or error}") from error
-    write_attributes(path, {**attributes, "split": described})
+    document = storage.read(f"split/{ROOT}") or b""
+    storage.write(table_key("split"), [encode_table("split", document, codes)])
+    write_attributes(storage, {**attributes, "split": described})

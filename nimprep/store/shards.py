@@ -22,10 +22,12 @@ import numpy.typing as npt
 from numcodecs import blosc
 
 from nimprep.errors import StoreError
+from nimprep.files import open_plain
 from nimprep.store.buffers import empty
 from nimprep.store.spec import ChunkCodec
 
-_MISSING = 2**64 - 1
+MISSING = 2**64 - 1
+"""Offset, in an index, of a chunk that is all fill value and not there."""
 _CRC_RESIDUE = 0x48674BC7
 """CRC-32C of any bytes followed by their own CRC-32C: checks a chunk without cutting it apart."""
 _LENGTHS = struct.Struct("<3I")
@@ -64,7 +66,7 @@ def encode_shard(chunks: Sequence[bytes], capacity: int) -> list[bytes]:
     for chunk in chunks:
         entries += [offset, len(chunk)]
         offset += len(chunk)
-    entries += [_MISSING] * (2 * (capacity - len(chunks)))
+    entries += [MISSING] * (2 * (capacity - len(chunks)))
     index = struct.pack(f"<{2 * capacity}Q", *entries)
     return [*chunks, index + struct.pack("<I", google_crc32c.value(index))]
 
@@ -78,13 +80,9 @@ def read_index(path: Path, capacity: int) -> npt.NDArray[np.uint64]:
         The file is missing, too short, or its index is damaged.
     """
     size = 16 * capacity + 4
-    try:
-        with path.open("rb") as file:
-            end = file.seek(0, 2)
-            file.seek(max(0, end - size))
-            data = file.read(size)
-    except OSError as error:
-        raise StoreError(f"{path}: expected a shard, found {error.strerror}") from error
+    with open_plain(path, "a shard", StoreError) as (file, end):
+        file.seek(max(0, end - size))
+        data = file.read(size)
     return parse_index(data, capacity, end, str(path))
 
 
@@ -102,7 +100,7 @@ def parse_index(data: bytes, capacity: int, end: int, where: str) -> npt.NDArray
     if google_crc32c.value(data[:-4]) != int.from_bytes(data[-4:], "little"):
         raise StoreError(f"{where}: expected an undamaged shard index, found a wrong checksum")
     index = np.frombuffer(data[:-4], dtype="<u8").reshape(capacity, 2)
-    there = index[:, 0] != _MISSING
+    there = index[:, 0] != MISSING
     # Compared as Python integers: an overflowing sum would look as if it fitted.
     if any(int(offset) + int(length) > end - size for offset, length in index[there]):
         raise StoreError(f"{where}: expected chunks within {end} bytes, found one beyond the end")
@@ -119,7 +117,7 @@ def split_shard(data: bytes, capacity: int, where: str) -> list[bytes]:
     """
     index = parse_index(data[-(16 * capacity + 4) :], capacity, len(data), where)
     chunks = []
-    for offset, length in index[index[:, 0] != _MISSING]:
+    for offset, length in index[index[:, 0] != MISSING]:
         chunk = data[int(offset) : int(offset) + int(length)]
         if google_crc32c.value(chunk) != _CRC_RESIDUE:
             raise StoreError(f"{where}: expected undamaged chunks, found a wrong checksum")
@@ -139,9 +137,10 @@ def read_chunk(
     StoreError
         The file is gone, cut short, or the chunk's checksum does not fit.
     """
-    offset, length = int(index[position, 0]), int(index[position, 1])
-    if offset == _MISSING:
+    span = chunk_span(index, position)
+    if span is None:
         return None
+    offset, length = span
     try:
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -151,11 +150,22 @@ def read_chunk(
             os.close(descriptor)
     except OSError as error:
         raise StoreError(f"{path}: expected a shard, found {error.strerror}") from error
-    if found != length or length < 4:
-        raise StoreError(f"{path}: expected {length} bytes of chunk {position}, found {found}")
-    if google_crc32c.value(data) != _CRC_RESIDUE:
-        raise StoreError(f"{path}: expected chunk {position} undamaged, found a wrong checksum")
+    check_chunk(data, found, position, path)
     return data
+
+
+def chunk_span(index: npt.NDArray[np.uint64], position: int) -> tuple[int, int] | None:
+    """Return a chunk's offset and length in its shard; None where it is all fill value."""
+    offset, length = int(index[position, 0]), int(index[position, 1])
+    return None if offset == MISSING else (offset, length)
+
+
+def check_chunk(data: npt.NDArray[np.uint8], found: int, position: int, where: object) -> None:
+    """Raise `StoreError` unless all of a chunk's bytes were found, and their checksum fits."""
+    if found != len(data) or found < 4:
+        raise StoreError(f"{where}: expected {len(data)} bytes of chunk {position}, found {found}")
+    if google_crc32c.value(data) != _CRC_RESIDUE:
+        raise StoreError(f"{where}: expected chunk {position} undamaged, found a wrong checksum")
 
 
 def decode_chunk(packed: npt.NDArray[np.uint8] | bytes, out: npt.NDArray[Any], where: str) -> None:

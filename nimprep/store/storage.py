@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from nimprep.errors import StoreError
+from nimprep.files import open_plain, read_file
 from nimprep.store.metadata import write_file
 
 
+@runtime_checkable
 class Storage(Protocol):
     """Keep bytes under keys; safe to use from several threads and, pickled, processes.
 
@@ -18,8 +22,20 @@ class Storage(Protocol):
     that name the key.
     """
 
-    def read(self, key: str) -> bytes | None:
-        """Return what is kept under a key; None = nothing."""
+    def read(self, key: str, limit: int | None = None) -> bytes | None:
+        """Return what is kept under a key; None = nothing. More than `limit` bytes are an error."""
+        ...
+
+    def read_many(self, keys: Sequence[str], limit: int | None = None) -> dict[str, bytes | None]:
+        """Return what `read` returns, for several keys."""
+        ...
+
+    def read_tail(self, key: str, length: int) -> tuple[bytes, int]:
+        """Return the last bytes under a key, and how many there are in all."""
+        ...
+
+    def read_range(self, key: str, offset: int, length: int) -> bytes:
+        """Return bytes from the middle of what is under a key, fewer where it ends before."""
         ...
 
     def write(self, key: str, parts: Sequence[bytes]) -> None:
@@ -38,6 +54,14 @@ class Storage(Protocol):
         """Return the keys that lie below a prefix, sorted."""
         ...
 
+    def folders(self) -> list[str]:
+        """Return the first parts of the keys that have several, sorted."""
+        ...
+
+    def sizes(self, keys: Sequence[str]) -> dict[str, int]:
+        """Return how many bytes are under each of the keys that are there."""
+        ...
+
     def zarr(self) -> Any:
         """Return what zarr-python opens as a group."""
         ...
@@ -46,10 +70,31 @@ class Storage(Protocol):
 
 
 class LocalStorage:
-    """Keep files in a folder, which is made when the first is written."""
+    """Keep files in a folder, which is made when the first is written.
+
+    The folder may be a link; within it, links and names that lead out of it are errors: a store
+    from somebody else must not make its reader read, or write, other files of his.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = root
+
+    def locate(self, key: str) -> Path:
+        """Return a file's path.
+
+        Raises
+        ------
+        StoreError
+            It leads out of the folder.
+        """
+        path = self.root / key
+        real = os.path.realpath(path)
+        if not real.startswith(os.path.join(os.path.realpath(self.root), "")):  # noqa: PTH118
+            raise StoreError(
+                f"{path}: expected a file within the store, found one that leads to {real}; "
+                "put the file itself there"
+            )
+        return path
 
     def __str__(self) -> str:
         return str(self.root)
@@ -58,24 +103,43 @@ class LocalStorage:
         path = self.root / key
         return StoreError(f"{path}: expected a file in reach, found {error.strerror}")
 
-    def read(self, key: str) -> bytes | None:
+    def read(self, key: str, limit: int | None = None) -> bytes | None:
         """Return a file's bytes; None = there is none."""
         try:
-            return (self.root / key).read_bytes()
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise self._error(key, error) from error
+            return read_file(
+                self.locate(key), sys.maxsize if limit is None else limit, error=StoreError
+            )
+        except StoreError as error:
+            if isinstance(error.__cause__, FileNotFoundError):
+                return None
+            raise
+
+    def read_many(self, keys: Sequence[str], limit: int | None = None) -> dict[str, bytes | None]:
+        """Return several files' bytes."""
+        return {key: self.read(key, limit) for key in keys}
+
+    def read_tail(self, key: str, length: int) -> tuple[bytes, int]:
+        """Return a file's last bytes, and its size."""
+        with open_plain(self.locate(key), error=StoreError) as (file, size):
+            file.seek(max(0, size - length))
+            return file.read(length), size
+
+    def read_range(self, key: str, offset: int, length: int) -> bytes:
+        """Return bytes from within a file."""
+        with open_plain(self.locate(key), error=StoreError) as (file, _):
+            file.seek(offset)
+            return file.read(length)
 
     def write(self, key: str, parts: Sequence[bytes]) -> None:
         """Write a file beside its place, then move it there."""
-        write_file(self.root / key, parts)
+        write_file(self.locate(key), parts)
 
     def move(self, key: str, other: str) -> None:
         """Rename a file over another."""
         try:
-            (self.root / other).parent.mkdir(parents=True, exist_ok=True)
-            (self.root / key).replace(self.root / other)
+            place = self.locate(other)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            (self.root / key).replace(place)
         except OSError as error:
             raise self._error(key, error) from error
 
@@ -95,6 +159,15 @@ class LocalStorage:
         below = self.root / prefix
         paths = (p for p in below.rglob("*") if p.is_file() and not p.name.startswith("."))
         return sorted(p.relative_to(self.root).as_posix() for p in paths)
+
+    def folders(self) -> list[str]:
+        """Return the names of the folders here."""
+        return sorted(path.name for path in self.root.glob("*/"))
+
+    def sizes(self, keys: Sequence[str]) -> dict[str, int]:
+        """Return the sizes of those files that are there."""
+        paths = {key: self.locate(key) for key in keys}
+        return {key: path.stat().st_size for key, path in paths.items() if path.is_file()}
 
     def remove_partial(self) -> None:
         """Remove what writers that were killed left of files not yet in their place."""

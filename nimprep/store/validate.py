@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,15 @@ from nimprep.derive.modalities import recipe_from
 from nimprep.errors import NimprepError, StoreError
 from nimprep.schema import schema_problems
 from nimprep.splits import SPLIT_CODES
-from nimprep.store.metadata import ROOT, read_attributes, read_document
+from nimprep.store.images import ImageArray
+from nimprep.store.location import Place, storage_from
+from nimprep.store.metadata import ROOT, consolidated, read_attributes, read_document
 from nimprep.store.reader import Store
-from nimprep.store.shards import read_index
 from nimprep.store.spec import TABLES, image_specs
+from nimprep.store.storage import Storage
+
+_AT_ONCE = 8
+"""Shards whose indices are asked for at once: each takes its time over a network."""
 
 MAX_PROBLEMS = 100
 """A report stops after as many problems; a damaged store would otherwise list every pixel."""
@@ -73,7 +79,7 @@ class Report:
 
 
 def validate_store(
-    path: Path | str,
+    path: Place | Storage,
     *,
     deep: bool = False,
     progress: Callable[[str, int], Callable[[], None]] | None = None,
@@ -82,7 +88,7 @@ def validate_store(
 
     Parameters
     ----------
-    path : path
+    path : path or URL
     deep : bool
         Decode every chunk, check every checksum, labels, normals, padding, and on a sample of
         frames that derived modalities agree with a recomputation.
@@ -99,9 +105,9 @@ def validate_store(
     StoreError
         There is nothing to check: no store, or one of a newer format.
     """
-    path = Path(path)
-    report = Report(str(path), deep)
-    attributes = read_attributes(path, complete=False)
+    storage = storage_from(path)
+    report = Report(str(storage), deep)
+    attributes = read_attributes(storage, complete=False)
     for problem in schema_problems(attributes, "store"):
         report.add(f"attributes: {problem}")
     report.count("documents")
@@ -110,7 +116,7 @@ def validate_store(
     if not report.valid:
         return report
     try:
-        store = Store(path)
+        store = Store(storage)
     except NimprepError as error:
         report.add(str(error))
         return report
@@ -135,16 +141,19 @@ def _first_line(error: Exception) -> str:
 
 def check_consolidated(store: Store, report: Report) -> None:
     """Check that the root's copy of the arrays' metadata, which xarray reads, says the same."""
-    root = read_document(store.path / ROOT)
-    copies = (root.get("consolidated_metadata") or {}).get("metadata", {})
+    root = read_document(store.storage, ROOT)
+    copies = consolidated(root)
     if root.get("node_type") != "group":
         report.add(f"{ROOT}: expected node_type 'group', found {root.get('node_type')!r}")
     expected = {*store.modalities, *TABLES}
-    there = {path.parent.name for path in store.path.glob(f"*/{ROOT}")}
+    # Where folders cannot be listed, what the copies name is asked for.
+    names = sorted(expected | copies.keys() | set(store.storage.folders()))
+    found = store.storage.read_many([f"{name}/{ROOT}" for name in names])
+    there = {name for name in names if found[f"{name}/{ROOT}"] is not None}
     if there != expected:
         report.add(f"arrays: expected {sorted(expected)}, found {sorted(there)}")
     for name in sorted(there & expected):
-        if copies.get(name) != read_document(store.path / name / ROOT):
+        if copies.get(name) != read_document(store.storage, f"{name}/{ROOT}"):
             report.add(f"{ROOT}: expected the metadata of {name!r} as in its own file, found other")
 
 
@@ -196,7 +205,8 @@ def check_arrays(store: Store, report: Report) -> None:
     dtype = store.attributes["modalities"].get("normal", {}).get("dtype", "int8")
     specs = image_specs(store.classes, dtype) | TABLES
     for name in [*store.modalities, *TABLES]:
-        found = dict(zarr.open_array(store.path / name, mode="r").attrs)
+        array = zarr.open_array(store.storage.zarr(), path=name, mode="r", zarr_format=3)
+        found = dict(array.attrs)
         for key, value in specs[name].attributes.items():
             if found.get(key) != value:
                 report.add(
@@ -205,10 +215,17 @@ def check_arrays(store: Store, report: Report) -> None:
     shapes = {array.shape[1:3] for array in store.arrays.values()}
     if len(shapes) > 1:
         report.add(f"arrays: expected images of one size, found {sorted(shapes)}")
-    for name, array in store.arrays.items():
-        for shard in range(-(-len(array) // array.shard_length)):
-            try:
-                read_index(array.shard_path(shard), array.shard_length)
-            except StoreError as error:
-                report.add(f"{name}: {error}")
-            report.count("shards")
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for name, images in store.arrays.items():
+            for problem in pool.map(partial(_index_problem, images), images.shards):
+                if problem:
+                    report.add(f"{name}: {problem}")
+                report.count("shards")
+
+
+def _index_problem(images: ImageArray, shard: int) -> str:
+    try:
+        images.read_index(shard)
+    except StoreError as error:
+        return str(error)
+    return ""

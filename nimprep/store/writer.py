@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import glob
 import json
-import os
 import shutil
 import warnings
 from collections.abc import Mapping, Sequence
@@ -17,7 +15,9 @@ import numpy.typing as npt
 
 from nimprep.errors import StoreError
 from nimprep.frame import LabelClass
-from nimprep.store.metadata import ROOT, read_attributes
+from nimprep.store.exchange import exchange
+from nimprep.store.memory import MemoryFiles
+from nimprep.store.metadata import ROOT, read_attributes, sync_folder
 from nimprep.store.shards import encode_shard
 from nimprep.store.spec import (
     TABLE_SHAPES,
@@ -108,58 +108,68 @@ def check_target(target: Path, *, overwrite: bool) -> None:
         )
 
 
-def make_partial(target: Path) -> Path:
-    """Make the hidden folder beside `target` in which this process writes its store.
-
-    Folders that killed conversions left behind are removed.
-
-    Raises
-    ------
-    StoreError
-        The place cannot be written.
-    """
-    target = target.absolute()
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        for old in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
-            process = old.name.split(".")[-2]
-            if process.isdigit() and not _runs(int(process)):
-                shutil.rmtree(old)
-        partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
-        partial.mkdir()
-    except OSError as error:
-        raise StoreError(f"{target}: expected a writable place, found {error.strerror}") from error
-    return partial
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+OLD = ".old"
+"""The suffix, in the place a store is moved from, of the one that it replaces meanwhile."""
 
 
 def move_into_place(partial: Path, target: Path, *, overwrite: bool) -> None:
-    """Give a finished store its name; what it replaces goes only now, its root first.
+    """Give a finished store its name; what it replaces goes only afterwards.
+
+    Killed at any moment, it leaves at the target the one store or the other, whole. Where folders
+    cannot change names at once, there is a moment without either: `put_back` helps then.
 
     Raises
     ------
     StoreError
         Something has come there since that must stay, or it cannot be moved.
     """
+    target = target.absolute()
     check_target(target, overwrite=overwrite)
+    old = None
     try:
-        if target.is_dir():
-            (target / ROOT).unlink(missing_ok=True)
-            old = partial.with_suffix(".old")
-            target.replace(old)
-            shutil.rmtree(old)
-        partial.replace(target.absolute())
+        if target.is_dir() and any(target.iterdir()):
+            if exchange(partial, target):
+                old = partial
+            else:
+                old = partial.with_suffix(OLD)
+                target.replace(old)
+                try:
+                    partial.replace(target)
+                except OSError:
+                    old.replace(target)
+                    raise
+        else:
+            partial.replace(target)
+        sync_folder(target.parent)
+        if old is not None:
+            # First of all, so that what a kill leaves of it is never taken for a store.
+            (old / ROOT).unlink(missing_ok=True)
+            shutil.rmtree(old, ignore_errors=True)
     except OSError as error:
         raise StoreError(f"{target}: expected to write it, found {error.strerror}") from error
+
+
+def put_back(partial: Path, target: Path) -> bool:
+    """Undo what `move_into_place` had done when it was killed between its two renamings.
+
+    Returns
+    -------
+    bool
+        Whether there was anything to undo; then the target is the store it was before.
+
+    Raises
+    ------
+    StoreError
+        It cannot be moved.
+    """
+    old = partial.with_suffix(OLD)
+    if target.exists() or not (old / ROOT).is_file():
+        return False
+    try:
+        old.replace(target)
+    except OSError as error:
+        raise StoreError(f"{target}: expected to write it, found {error.strerror}") from error
+    return True
 
 
 class StoreWriter:
@@ -210,27 +220,21 @@ class StoreWriter:
         """
         import zarr
 
-        # Anew, so that what a run cut short in here left does not tell in the bytes.
-        self.begin(dict(attributes))
-        place = self.storage.zarr()
-        try:
-            group = zarr.open_group(place, mode="r+")
-            for modality in self.layout.modalities:
-                self.storage.remove(f"{modality}/zarr.json")
-                self._create_images(group, modality)
-            for name, spec in TABLES.items():
-                self.storage.remove(name)
-                create_table(group, name, spec, tables[name])
-            with warnings.catch_warnings():
-                # Consolidated metadata is an extension that xarray reads, and warns without.
-                warnings.filterwarnings("ignore", message="Consolidated metadata")
-                zarr.consolidate_metadata(place)
-        except OSError as error:
-            raise StoreError(
-                f"{self.storage}: expected room to write, found {error.strerror or error}"
-            ) from error
-        root = json.loads(self.storage.read(ROOT) or b"{}")
-        root["attributes"]["nimprep"] = {**attributes, "complete": True}
+        memory = MemoryFiles({})
+        group = zarr.open_group(memory.zarr, mode="w", zarr_format=3)
+        group.attrs["nimprep"] = {**attributes, "complete": True}
+        for modality in self.layout.modalities:
+            self._create_images(group, modality)
+        for name, spec in TABLES.items():
+            create_table(group, name, spec, tables[name])
+        with warnings.catch_warnings():
+            # Consolidated metadata is an extension that xarray reads, and warns without.
+            warnings.filterwarnings("ignore", message="Consolidated metadata")
+            zarr.consolidate_metadata(memory.zarr)
+        files = memory.contents()
+        root = json.loads(files.pop(ROOT))
+        for key, data in files.items():
+            self.storage.write(key, [data])
         self.storage.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
 
     def _create_images(self, group: zarr.Group, modality: str) -> None:

@@ -16,10 +16,11 @@ import numpy.typing as npt
 
 from nimprep.camera import D415_HORIZONTAL_FOV_DEG, Camera
 from nimprep.errors import LayoutError, NimprepError
+from nimprep.frame import MAX_PIXELS
 from nimprep.synthetic.render import MIN_SIDE, SyntheticFrame, check_number, render_frame
 
 MAX_THREADS = 8
-"""Each holds about 200 bytes per pixel while it renders."""
+"""Each holds about 200 bytes per pixel while it renders, together at most `MAX_PIXELS` pixels."""
 
 
 def write_synthetic(
@@ -85,6 +86,10 @@ def write_synthetic(
     check_number("seed", seed, 0)
     for name, side in zip(("height", "width"), size, strict=True):
         check_number(name, side, MIN_SIDE)
+    if size[0] * size[1] > MAX_PIXELS:
+        raise NimprepError(
+            f"synthetic size: expected at most {MAX_PIXELS} pixels, found {size[1]}x{size[0]}"
+        )
     camera = Camera.from_fov(D415_HORIZONTAL_FOV_DEG, size[1], size[0])
     kinds = _kinds(normals, labels)
     _check_empty(out)
@@ -97,6 +102,11 @@ def write_synthetic(
         _write_frames(partial, kinds, frames, seed, camera, noise, progress)
         for name in ("camera.json", *kinds):
             (partial / name).rename(out / name)
+    except MemoryError as error:
+        raise NimprepError(
+            f"{out}: expected memory for frames of {size[1]}x{size[0]} pixels, found too little; "
+            "ask for smaller ones"
+        ) from error
     except OSError as error:
         raise NimprepError(
             f"{out}: expected a folder that can be written to, found: {error.strerror or error}; "
@@ -144,7 +154,8 @@ def _write_frames(
     def write(index: int) -> None:
         _write_frame(folder, kinds, f"{index:06d}", render_frame(seed, index, camera, noise))
 
-    threads = min(os.cpu_count() or 1, MAX_THREADS, frames)
+    at_once = max(1, MAX_PIXELS // (camera.height * camera.width))
+    threads = min(os.cpu_count() or 1, MAX_THREADS, frames, at_once)
     with ThreadPoolExecutor(threads) as pool:
         try:
             pending = [pool.submit(write, index) for index in range(frames)]

@@ -1,0 +1,319 @@
+"""Adding frames to a store: encoded as its own are, then put together with its shards."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep import __version__
+from nimprep.conversion.job import Base
+from nimprep.conversion.joining import StoreChunks, UnitChunks, depth_counts, join_shards
+from nimprep.conversion.journal import Journal
+from nimprep.conversion.kinds import check_frames, options_like, padded_size
+from nimprep.conversion.plan import check_apart, fixed_splits, frame_metadata, local_folder
+from nimprep.conversion.provenance import (
+    joined_fixed,
+    joined_metadata,
+    joined_source,
+    least_certain,
+    parts,
+)
+from nimprep.conversion.records import (
+    FrameFacts,
+    SkippedFrame,
+    UnitRecord,
+    depth_percentiles,
+    source_digest,
+    tables,
+)
+from nimprep.conversion.run import Progress, Run
+from nimprep.conversion.sources import frame_states, listed_state
+from nimprep.conversion.workspace import LocalWorkspace, open_workspace
+from nimprep.derive.threads import available_cores
+from nimprep.errors import StoreError
+from nimprep.readers import open_reader
+from nimprep.readers.subset import SubsetReader
+from nimprep.splits import SPLITS, extend_splits
+from nimprep.store.metadata import read_attributes
+from nimprep.store.reader import Store, open_store
+from nimprep.store.spec import TABLES
+from nimprep.store.writer import StoreLayout, StoreWriter
+
+
+@dataclass(frozen=True)
+class AppendOptions:
+    """Say how frames are read that join a store; what is made of them, the store says.
+
+    Attributes
+    ----------
+    reader, description, camera, depth_scale, target, depth_from, sparse
+        As in `ConvertOptions`; to be given again as they were for the store.
+    skip_existing : bool
+        Leave frames out whose ids the store has already; else they are an error.
+    workers : int, optional
+        Threads; None = the cores this process may use. The bytes do not depend on it.
+    restart : bool
+        Begin anew where an earlier append to the store was cut short; else go on there.
+    on_error : {"stop", "skip"}
+        What a bad frame does: end it all, or be left out and listed in the metadata.
+    """
+
+    reader: str = "auto"
+    description: Path | str | None = None
+    camera: Path | str | tuple[float, float, float, float] | None = None
+    depth_scale: float | None = None
+    target: Literal["road", "lane"] = "road"
+    depth_from: Literal["auto", "lidar", "stereo"] = "auto"
+    sparse: bool = False
+    skip_existing: bool = False
+    workers: int | None = None
+    restart: bool = False
+    on_error: Literal["stop", "skip"] = "stop"
+
+
+@dataclass(frozen=True)
+class Appended:
+    """Say what came of an append.
+
+    Attributes
+    ----------
+    store : Store
+        With the new frames, open.
+    ids : tuple of str
+        The frames that were added.
+    existing : int
+        Frames of the source that the store had already.
+    skipped : tuple of SkippedFrame
+        Frames that were bad and left out.
+    """
+
+    store: Store
+    ids: tuple[str, ...]
+    existing: int
+    skipped: tuple[SkippedFrame, ...]
+
+
+def append_frames(
+    source: Path | str,
+    store: Path | str,
+    options: AppendOptions | None = None,
+    *,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Appended:
+    """Add a raw dataset's frames to a store of the same kind.
+
+    Modalities, recipe, codec and crop are the store's. Its frames keep their split; new ones get
+    theirs by `nimprep.splits.extend_splits`. Complete shards stay the files they are. The new
+    store is made in a hidden folder beside the old one and takes its place when it is whole: at
+    every moment the one or the other is there. Cut short, the same call goes on.
+
+    Parameters
+    ----------
+    source : path
+        The dataset's folder; nothing in it is written to.
+    store : path
+        A store's folder on this machine.
+    options : AppendOptions, optional
+    progress : callable, optional
+        As for `convert`.
+    **changes
+        Fields of `AppendOptions`, over those of `options`.
+
+    Raises
+    ------
+    LayoutError, DecodeError, CameraError
+        The dataset is not what it should be, or its frames are not of the store's kind.
+    SplitError
+        The store's split rule does not fit the new frames.
+    StoreError
+        There is no complete store, it has frames of these ids, or it cannot be written.
+    """
+    options = replace(options or AppendOptions(), **changes)
+    source, target = Path(source), _folder(store)
+    check_apart(source, target)
+    start = progress or (lambda step, frames: lambda: None)
+    with open_workspace(target, overwrite=True, task="append") as workspace:
+        append = _Append(source, open_store(target), options, workspace)
+        done = (append.finished() if workspace.published else None) or append.run(start)
+    for note in append.reader.info.notes:
+        warnings.warn(f"{source}: {note}", stacklevel=2)
+    return done
+
+
+def _folder(store: Path | str) -> Path:
+    """Return the folder of a store that is there, or that a kill left nameless for the moment."""
+    path = local_folder(store, "append to")
+    if path.exists() or not LocalWorkspace(path, overwrite=True).folder.is_dir():
+        read_attributes(path)
+    return path
+
+
+class _Append:
+    """One append, from its checks to the store in its place."""
+
+    def __init__(
+        self, source: Path, store: Store, options: AppendOptions, workspace: LocalWorkspace
+    ) -> None:
+        self._source = source
+        self._store = store
+        self._options = options
+        self._workspace = workspace
+        reading = asdict(options)
+        del reading["skip_existing"]
+        self._convert = options_like(store, **reading)
+        self._workers = options.workers or available_cores()
+        self.reader = open_reader(source, self._convert.reader, self._convert.reading)
+        self._existing = frozenset(store.ids) & frozenset(self.reader.ids)
+
+    def finished(self) -> Appended | None:
+        """Return what an append of this very source did that was killed at its last step."""
+        journal = Journal(self._workspace.journal, str(self._store.path))
+        plan = journal.plan()
+        ours = plan["files"] if plan is not None else {}
+        here = SubsetReader(self.reader, [i for i in self.reader.ids if i in ours])
+        states = frame_states(here, skip_bad=self._options.on_error == "skip")
+        known = self._existing | ours.keys()
+        if (
+            not ours
+            or {i: listed_state(state) for i, state in states.items()} != ours
+            or not known.issuperset(self.reader.ids)
+            or not (self._options.skip_existing or set(self.reader.ids) == set(ours))
+        ):
+            self._workspace.clear()
+            return None
+        self._facts, self._skipped = _flat(journal.records().values())
+        self._existing -= {facts.id for facts in self._facts}
+        self._workspace.clear()
+        return self._appended(self._store)
+
+    def run(self, start: Progress) -> Appended:
+        """Check, encode, join, and put the new store in the old one's place."""
+        new = [i for i in self.reader.ids if i not in self._existing]
+        self._check(new)
+        if not new:
+            self._facts, self._skipped = [], []
+            return self._appended(self._store)
+        path, digest = Path(self._store.path), self._store.attributes["source"]["digest"]
+        base = Base(len(self._store), *padded_size(self._store), digest)
+        journal = Journal(self._workspace.journal, str(path), base)
+        reader = SubsetReader(self.reader, new)
+        run = Run(self._source, reader, self._convert, self._workspace, journal, base)
+        run.prepare(start)
+        run.encode(start)
+        records = run.records()
+        self._facts, self._skipped = _flat(records)
+        frames = len(self._store) + len(self._facts)
+        layout = replace(run.job.layout, frames=frames, classes=self._store.classes)
+        self._workspace.joined.remove("")
+        units = UnitChunks(self._workspace.store, layout, records)
+        self._join(layout, units, start("joining", frames))
+        counts = journal.depth_counts()
+        if "depth" in self._store.modalities:
+            before = start("reading the depth there was", len(self._store))
+            counts += depth_counts(self._store, self._workers, before)
+        writer = StoreWriter(self._workspace.joined, layout)
+        writer.finish(self._tables(), self._attributes(depth_percentiles(counts)))
+        self._workspace.publish(self._workspace.joined)
+        return self._appended(open_store(path))
+
+    def _check(self, new: Sequence[str]) -> None:
+        """Raise where these frames cannot join the store."""
+        if self._existing and not self._options.skip_existing:
+            raise StoreError(
+                f"{self._store.path}: expected frames that are not in it yet, found "
+                f"{min(self._existing)!r} ({len(self._existing)} of {len(self.reader.ids)} are); "
+                "--skip-existing leaves those as they are"
+            )
+        check_frames(self._store, self.reader, new)
+        self._splits(new, {i: self.reader.group(i) for i in new})
+
+    def _join(self, layout: StoreLayout, units: UnitChunks, done: Callable[[], None]) -> None:
+        old, writer = StoreChunks(self._store, layout), StoreWriter(self._workspace.joined, layout)
+        count, folder = len(self._store), Path(self._store.path)
+
+        def chunks(modality: str, frames: range) -> list[bytes]:
+            new = range(max(0, frames.start - count), frames.stop - count)
+            kept = [old.chunk(modality, i) for i in range(frames.start, min(frames.stop, count))]
+            return kept + units.chunks(modality, new)
+
+        def whole(modality: str, frames: range) -> Path | None:
+            if frames.stop <= count:
+                number = frames.start // layout.shard_length
+                return folder / writer.shard_key(modality, number)
+            if frames.start < count:
+                return None
+            return units.whole(modality, range(frames.start - count, frames.stop - count))
+
+        join_shards(writer, chunks, done, whole)
+
+    def _fixed(self, new: Sequence[str]) -> dict[str, list[str]]:
+        """Return the frames whose split the dataset's authors chose, old and new."""
+        ours: dict[str, list[str]] = {}
+        for frame_id, split in fixed_splits(self.reader, new).items():
+            ours.setdefault(split, []).append(frame_id)
+        return joined_fixed([self._store.attributes.get("fixed_splits", {}), ours])
+
+    def _splits(self, new: Sequence[str], groups: Mapping[str, str]) -> list[str]:
+        """Return the new frames' splits."""
+        store, split = self._store, self._store.attributes["split"]
+        everyone = dict(zip(store.ids, store.tables.group, strict=True)) | dict(groups)
+        fixed = {i: SPLITS[name] for name, ids in self._fixed(new).items() for i in ids}
+        splits = extend_splits(everyone, store.splits, split["rule"], split.get("seed", 0), fixed)
+        return [splits[i] for i in new]
+
+    def _tables(self) -> dict[str, npt.NDArray[Any]]:
+        groups = {facts.id: facts.group for facts in self._facts}
+        new = tables(self._facts, self._splits(list(groups), groups))
+        old = {name: getattr(self._store.tables, name) for name in TABLES}
+        return {
+            name: np.concatenate([np.asarray(old[name], dtype=new[name].dtype), new[name]])
+            for name in TABLES
+        }
+
+    def _attributes(self, percentiles: Mapping[str, float] | None) -> dict[str, Any]:
+        """Return the new store's `nimprep` object."""
+        old, ids = self._store.attributes, [facts.id for facts in self._facts]
+        part = {
+            "frames": len(ids),
+            "dataset": old["dataset"],
+            "calibration": self.reader.info.calibration,
+            "tool_version": __version__,
+            "digest": source_digest(self._facts),
+        }
+        made = [*parts(old, len(self._store)), part]
+        metadata = joined_metadata(
+            [
+                (old.get("frame_metadata", {}), len(self._store)),
+                (frame_metadata(self.reader, ids), len(ids)),
+            ]
+        )
+        news = {*ids, *(frame.id for frame in self._skipped)}
+        skipped = [frame for frame in old.get("skipped", []) if frame["id"] not in news]
+        skipped += [asdict(frame) for frame in self._skipped]
+        extra = {"fixed_splits": self._fixed(ids), "frame_metadata": metadata, "skipped": skipped}
+        return {
+            **{name: value for name, value in old.items() if name not in ("complete", *extra)},
+            "tool_version": __version__,
+            "calibration": {**old["calibration"], "origin": least_certain(made)},
+            **{name: value for name, value in extra.items() if value},
+            "depth_percentiles_m": percentiles if "depth" in self._store.modalities else None,
+            "source": joined_source(made),
+        }
+
+    def _appended(self, store: Store) -> Appended:
+        ids = tuple(facts.id for facts in self._facts)
+        return Appended(store, ids, len(self._existing), tuple(self._skipped))
+
+
+def _flat(records: Iterable[UnitRecord]) -> tuple[list[FrameFacts], list[SkippedFrame]]:
+    records = sorted(records, key=lambda record: record.number)
+    facts = chain.from_iterable(record.frames for record in records)
+    return list(facts), list(chain.from_iterable(record.skipped for record in records))

@@ -1,0 +1,184 @@
+"""Putting a store's shards together from compressed images that are there already."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.conversion.records import DEPTHS, UnitRecord
+from nimprep.errors import StoreError
+from nimprep.store.reader import Store
+from nimprep.store.shards import encode_chunk, split_shard
+from nimprep.store.storage import LocalStorage
+from nimprep.store.writer import StoreLayout, StoreWriter
+
+Chunks = Callable[[str, range], list[bytes]]
+"""Return the chunks of a modality's frames, by number, as the new store holds them."""
+
+
+class StoreChunks:
+    """Hand out a store's compressed images: as they are, or made anew where the new store's differ.
+
+    They do where its padded images are of another size or the codec is another.
+    """
+
+    def __init__(self, store: Store, layout: StoreLayout) -> None:
+        self._store = store
+        self._layout = layout
+        shape = next(iter(store.arrays.values())).shape[1:3]
+        codec = store.attributes["codec"]
+        self._anew = (*shape, codec) != (layout.height, layout.width, layout.codec)
+
+    def chunk(self, modality: str, frame: int) -> bytes:
+        """Return a frame's chunk.
+
+        Raises
+        ------
+        StoreError
+            It is damaged.
+        """
+        array = self._store.arrays[modality]
+        packed = None if self._anew else array.fetch(frame)
+        if packed is not None:
+            data: bytes = packed.tobytes()
+            return data
+        # Of an absent chunk, too: other programs leave out those that are all fill value.
+        shape, fill = self._layout.image_shape(modality), int(self._layout.spec(modality).fill)
+        image = np.full(shape, fill, dtype=array.dtype)
+        image[: array.shape[1], : array.shape[2]] = array.read(frame)
+        return encode_chunk(image, self._layout.chunk_codec(modality))
+
+
+class UnitChunks:
+    """Hand out the compressed images that units of a conversion wrote, skipped frames left out.
+
+    Parameters
+    ----------
+    storage : LocalStorage
+        Where they wrote them.
+    layout : StoreLayout
+    records : sequence of UnitRecord
+    """
+
+    def __init__(
+        self, storage: LocalStorage, layout: StoreLayout, records: Sequence[UnitRecord]
+    ) -> None:
+        self._storage = storage
+        self._writer = StoreWriter(storage, layout)
+        self._places = [(r.number, n) for r in records for n in range(len(r.frames))]
+        self._lengths = {r.number: len(r.frames) for r in records}
+
+    def chunks(self, modality: str, frames: range) -> list[bytes]:
+        """Return the chunks of some of the units' frames.
+
+        Raises
+        ------
+        StoreError
+            A shard is gone or damaged.
+        """
+        places = self._places[frames.start : frames.stop]
+        found = []
+        for unit, of_unit in groupby(places, key=itemgetter(0)):
+            key = self._writer.shard_key(modality, unit)
+            data = self._storage.read(key)
+            if data is None:
+                raise StoreError(f"{self._storage}/{key}: expected a shard, found none")
+            length = self._writer.layout.shard_length
+            chunks = split_shard(data, length, f"{self._storage}/{key}")
+            found += [chunks[position] for _, position in of_unit]
+        return found
+
+    def whole(self, modality: str, frames: range) -> Path | None:
+        """Return the shard that holds these frames and no others; None = there is none."""
+        places = self._places[frames.start : frames.stop]
+        unit = places[0][0]
+        if places != [(unit, n) for n in range(self._lengths[unit])]:
+            return None
+        return self._storage.root / self._writer.shard_key(modality, unit)
+
+
+def join_shards(
+    writer: StoreWriter,
+    chunks: Chunks,
+    done: Callable[[], None],
+    whole: Callable[[str, range], Path | None] = lambda modality, frames: None,
+) -> None:
+    """Write the shards of every image array; one shard at a time is held in memory.
+
+    Parameters
+    ----------
+    writer : StoreWriter
+        Its layout says how many frames there are.
+    chunks : callable
+    done : callable
+        Called for each frame.
+    whole : callable, optional
+        Returns the file that holds just these frames of a modality, as the new shard is to, if
+        there is one: it is linked, or copied where it cannot be.
+
+    Raises
+    ------
+    StoreError
+        What is there is damaged, or the disk is full.
+    """
+    layout = writer.layout
+    for number, first in enumerate(range(0, layout.frames, layout.shard_length)):
+        frames = range(first, min(layout.frames, first + layout.shard_length))
+        for modality in layout.modalities:
+            path = whole(modality, frames)
+            if path is None:
+                writer.write_shard(modality, number, chunks(modality, frames))
+            else:
+                link_or_copy(path, Path(str(writer.storage)) / writer.shard_key(modality, number))
+        for _ in frames:
+            done()
+
+
+def link_or_copy(path: Path, other: Path) -> None:
+    """Give a file a second name; where the file system has none to give, copy it, times and all.
+
+    Raises
+    ------
+    StoreError
+        Neither can be done.
+    """
+    try:
+        other.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            other.hardlink_to(path)
+        except OSError:
+            shutil.copy2(path, other)
+    except OSError as error:
+        raise StoreError(f"{other}: expected room to write, found {error.strerror}") from error
+
+
+def depth_counts(store: Store, workers: int, done: Callable[[], None]) -> npt.NDArray[np.int64]:
+    """Return how many pixels of a store have each depth, (65536,) int64, by millimetre.
+
+    Zeros where it has no depth. Every frame's depth is read.
+
+    Raises
+    ------
+    StoreError
+        One is damaged.
+    """
+    array = store.arrays.get("depth")
+
+    def count(start: int) -> npt.NDArray[np.int64]:
+        total = np.zeros(DEPTHS, dtype=np.int64)
+        for frame in range(start, len(store), workers):
+            if array is not None:
+                total += np.bincount(array.read(frame).reshape(-1), minlength=DEPTHS)
+            done()
+        return total
+
+    with ThreadPoolExecutor(workers, thread_name_prefix="nimprep") as pool:
+        counts: npt.NDArray[np.int64] = np.sum(list(pool.map(count, range(workers))), axis=0)
+    return counts

@@ -1,0 +1,156 @@
+"""Whether frames, or stores, are of one kind: what may stand in one store together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, astuple, fields
+from typing import Any
+
+from nimprep.conversion.options import ConvertOptions
+from nimprep.derive.modalities import recipe_from
+from nimprep.errors import DecodeError, LayoutError, StoreError
+from nimprep.frame import LabelClass
+from nimprep.readers import Reader
+from nimprep.readers.crop import Margins
+from nimprep.store.reader import Store
+from nimprep.store.spec import FORMAT_VERSION
+
+
+def options_like(store: Store, **reading: Any) -> ConvertOptions:
+    """Return the options by which frames become what a store's frames are.
+
+    Parameters
+    ----------
+    **reading
+        Fields of `ConvertOptions` that say how frames are read; no store tells.
+
+    Raises
+    ------
+    StoreError
+        The store is of a format or a making that this version has not.
+    """
+    attributes = store.attributes
+    known = {field.name for field in fields(ConvertOptions)}
+    recipe = asdict(recipe_from(attributes["modalities"]))
+    margins = astuple(Margins(**attributes["crop"]))
+    options = ConvertOptions(
+        **reading,
+        **{name: value for name, value in recipe.items() if name in known},
+        labels="label" in store.modalities,
+        crop=margins if any(margins) else None,
+        modalities=store.modalities,
+        normal_dtype=attributes["modalities"].get("normal", {}).get("dtype", "int8"),
+        codec=attributes["codec"],
+        shard_length=shard_length(store),
+    )
+    described = {name: options.recipe.describe(name) for name in store.modalities}
+    if "normal" in described:
+        described["normal"]["dtype"] = options.normal_dtype
+    found = {name: attributes["modalities"][name] for name in store.modalities}
+    for what, wanted, there in (
+        ("format", FORMAT_VERSION, attributes["format_version"]),
+        *((name, described[name], found[name]) for name in store.modalities),
+    ):
+        if wanted != there:
+            raise StoreError(
+                f"{store.path}: expected {what} {wanted}, as this version makes it, found {there}; "
+                "convert everything anew"
+            )
+    return options
+
+
+def shard_length(store: Store) -> int:
+    """Return a store's frames per shard.
+
+    Raises
+    ------
+    StoreError
+        Its arrays differ in it.
+    """
+    lengths = {array.shard_length for array in store.arrays.values()}
+    if len(lengths) > 1:
+        raise StoreError(
+            f"{store.path}: expected arrays of one shard length, found {sorted(lengths)}"
+        )
+    return lengths.pop()
+
+
+def padded_size(store: Store) -> tuple[int, int]:
+    """Return the height and width of a store's padded images."""
+    height, width = next(iter(store.arrays.values())).shape[1:3]
+    return height, width
+
+
+def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
+    """Make sure that frames of a dataset may join a store.
+
+    Raises
+    ------
+    LayoutError
+        The dataset or its classes are not the store's.
+    StoreError
+        A frame is larger than the store's images.
+    """
+    name = store.attributes["dataset"]
+    if reader.info.name != name:
+        raise LayoutError(
+            f"{reader.root}: expected frames of the dataset {name!r}, which the store's are, "
+            f"found {reader.info.name!r}"
+        )
+    if store.classes and reader.info.classes != store.classes:
+        raise LayoutError(
+            f"{reader.root}: expected the store's classes {named(store.classes)}, found "
+            f"{named(reader.info.classes)}"
+        )
+    crop = Margins(**store.attributes["crop"])
+    height, width = padded_size(store)
+    for frame_id in ids:
+        try:
+            shape = crop.window(*reader.shape(frame_id))
+        except DecodeError:
+            # Encoding it says so, and knows whether it may be left out.
+            continue
+        if shape[0] > height or shape[1] > width:
+            raise StoreError(
+                f"{store.path}: expected frames of at most {width}x{height} pixels, found "
+                f"{shape[1]}x{shape[0]} in frame {frame_id!r}; convert everything anew, or into a "
+                "store of its own and merge the two"
+            )
+
+
+def named(classes: Sequence[LabelClass]) -> str:
+    """Return classes as a message says them."""
+    return ", ".join(f"{c.id} {c.name}" for c in classes) or "none"
+
+
+def check_alike(stores: Sequence[Store]) -> None:
+    """Make sure that stores hold the same things, made in the same way.
+
+    Their frames' size, codec and shards may differ.
+
+    Raises
+    ------
+    StoreError
+        One differs from the first; it is said in what.
+    """
+    first = stores[0]
+    for store in stores:
+        a, b = first.attributes, store.attributes
+        modalities = a["modalities"].keys() | b["modalities"].keys()
+        found: list[tuple[str, Any, Any]]
+        if b["format_version"] != FORMAT_VERSION:
+            found = [("format", FORMAT_VERSION, b["format_version"])]
+        else:
+            found = [
+                ("modalities", ", ".join(first.modalities), ", ".join(store.modalities)),
+                ("classes", named(first.classes), named(store.classes)),
+                ("colours", [c.color for c in first.classes], [c.color for c in store.classes]),
+                ("crop", Margins(**a["crop"]), Margins(**b["crop"])),
+                *((m, a["modalities"].get(m), b["modalities"].get(m)) for m in sorted(modalities)),
+            ]
+        for what, wanted, there in found:
+            if wanted != there:
+                raise StoreError(
+                    f"{store.path}: expected {what} {wanted} as in {first.path}, found {there}; "
+                    "convert one of the two anew"
+                )

@@ -1,0 +1,144 @@
+"""Converting into an object store, where nothing can be renamed.
+
+The store's keys are written in their final place, and the journal and the lock below a hidden name
+beside it: s3://bucket/.out.zarr.partial for s3://bucket/out.zarr. The root says that the store is
+not complete until everything else is there, so that nobody reads half of one. A store that is
+replaced is lost from the first write on: its root is marked as not complete, its other keys go, and
+then the new ones come.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+
+from nimprep.conversion.object_lock import ObjectLock
+from nimprep.conversion.workspace import Workspace, open_workspace
+from nimprep.errors import StoreError
+from nimprep.store.metadata import ROOT, read_attributes, read_document
+from nimprep.store.objects import ObjectStorage, RequestError
+from nimprep.store.storage import LocalStorage
+
+
+class ObjectWorkspace:
+    """Work in the final place, with the journal beside it.
+
+    Parameters
+    ----------
+    target : ObjectStorage
+        The store.
+    hidden : ObjectStorage
+        Where the journal is.
+    lock : ObjectLock
+        Held; made sure of before every write.
+    """
+
+    def __init__(self, target: ObjectStorage, hidden: ObjectStorage, lock: ObjectLock) -> None:
+        self.store = target
+        self.journal = hidden.sibling(f"{hidden.name}/journal")
+        self._lock = lock
+        self._stale = False
+        self._published = False
+        for storage in (self.store, self.journal):
+            storage.before_write = self._before_write
+
+    def clear(self) -> None:
+        """Have what an earlier conversion left here removed, before anything is written."""
+        self._stale = True
+
+    def _before_write(self) -> None:
+        self._lock.check()
+        if self._stale:
+            # A plan in the journal tells that this was done, so it must be done before.
+            self._stale = False
+            self.journal.remove("")
+            self._empty()
+
+    def _empty(self) -> None:
+        """Remove the store's keys; until the last its root says that it is not complete."""
+        data = self.store.read(ROOT)
+        if data is not None:
+            root = read_document(self.store, ROOT)
+            root["attributes"]["nimprep"]["complete"] = False
+            self.store.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
+        self.store.remove_all(but=ROOT)
+        self.store.remove(ROOT)
+
+    def publish(self) -> None:
+        """Remove the journal: the store has its name already, and is complete."""
+        self._published = True
+        self.journal.remove("")
+
+    def leave(self) -> None:
+        """Leave nothing behind but what a later run can go on from."""
+        if self._published or self.journal.keys("units"):
+            return
+        # What was there before stays, where nothing was written yet.
+        if not self._stale and not _is_complete(self.store):
+            self._empty()
+        self._stale = False
+        self.journal.remove("")
+
+
+def workspace_at(
+    storage: LocalStorage | ObjectStorage, *, overwrite: bool
+) -> AbstractContextManager[Workspace]:
+    """Return the context of a place to convert in, wherever the target is."""
+    if isinstance(storage, LocalStorage):
+        return open_workspace(storage.root, overwrite=overwrite)
+    return open_object_workspace(storage, overwrite=overwrite)
+
+
+@contextmanager
+def open_object_workspace(target: ObjectStorage, *, overwrite: bool) -> Iterator[ObjectWorkspace]:
+    """Lock a store's place and the hidden one beside it for as long as the context lasts.
+
+    Raises
+    ------
+    StoreError
+        Another process converts into the target, it must not be replaced, or cannot be written.
+    """
+    if not target.name:
+        raise StoreError(
+            f"{target}: expected a name for the store in the bucket, such as "
+            f"{target}/out.zarr, found none"
+        )
+    hidden = target.sibling(f".{target.name}.partial")
+    with ObjectLock(hidden, "lock", str(target)) as lock:
+        complete = _check_target(target)
+        workspace = ObjectWorkspace(target, hidden, lock)
+        if complete:
+            # What is kept is of a conversion that had its end, or of another store.
+            workspace.journal.remove("")
+            if not overwrite:
+                raise StoreError(
+                    f"{target}: expected a free name for the store, found a complete store; "
+                    "use --overwrite to replace it"
+                )
+        try:
+            yield workspace
+        except RequestError:
+            raise  # cleaning up would fail as well, each request after a minute
+        except BaseException:
+            with suppress(RequestError):
+                workspace.leave()
+            raise
+        workspace.leave()
+
+
+def _check_target(target: ObjectStorage) -> bool:
+    """Return whether there is a complete store; raise `StoreError` where is something else."""
+    if target.read(ROOT) is None and not target.has_keys():
+        return False
+    try:
+        return read_attributes(target, complete=False).get("complete") is True
+    except StoreError as error:
+        raise StoreError(
+            f"{target}: expected a free name for the store, found keys that are no nimprep "
+            "store; choose another name"
+        ) from error
+
+
+def _is_complete(target: ObjectStorage) -> bool:
+    return target.read(ROOT) is not None and _check_target(target)

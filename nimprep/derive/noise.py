@@ -1,0 +1,153 @@
+"""How noisy a depth image is, told from the image itself."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.derive.kernels.inverse_depth_noise import SAMPLES, second_differences
+
+LAGS = (1, 2, 4, 8, 16, 32)
+"""Distances in pixels at which second differences of inverse depth are taken."""
+
+_LEAST_SAMPLES = 64
+
+# A second difference of independent errors has sqrt(6) times their standard deviation; of a normal
+# distribution's absolute values half are below 0.6745 standard deviations.
+_MEDIAN_OF_BEND = math.sqrt(6) * 0.6745
+
+# From one lag to twice that, second differences grow four times on a curved surface, 1.4 times
+# across steps at random, and not at all in noise of neighbours too far apart to be alike.
+_LEVEL = 1.35
+
+# A sensor's errors are never all smooth: rounding and matching leave some that differ from pixel to
+# pixel (a D415's full second differences are 25 times those of neighbours). Clutter is smooth.
+_SMOOTHEST = 50
+
+# Errors farther apart than this share of the full noise's second differences count as independent.
+_APART = 0.7
+
+# The two halves of the samples, by distance, tell how noise grows only if they differ by this much.
+_HALVES_APART = 1.2
+
+
+@dataclass(frozen=True)
+class DepthNoise:
+    """Describe the noise of a depth image, as errors of inverse depth r.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation of r, 1/m: at every distance alike where `power` is 0, as a stereo
+        camera's is, else that at r = 1/m.
+    power : {0, 2}
+        The standard deviation is sigma * r**power. 2 = depth's own is the same at every distance,
+        as rounding to millimetres makes it.
+    length : float
+        Distance in pixels from which on errors are independent, at least 1.
+    relative : float
+        Median over the image of the standard deviation of r by r.
+    """
+
+    sigma: float
+    power: int
+    length: float
+    relative: float
+
+
+NO_NOISE = DepthNoise(0.0, 0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class _Bends:
+    """Hold absolute second differences of inverse depth at one lag, and inverse depth itself."""
+
+    lag: int
+    bend: npt.NDArray[np.float32]
+    inverse: npt.NDArray[np.float32]
+    relative: float
+
+
+def estimate_noise(depth_m: npt.NDArray[np.float32], least: float = 0.0) -> DepthNoise:
+    """Estimate the noise of a depth image from second differences of inverse depth.
+
+    On a plane these are 0 at any lag, so their median tells noise where planes are most of the
+    image; what grows with the lag without end is taken for the shape of the surfaces, not for
+    noise.
+
+    Parameters
+    ----------
+    depth_m : (H, W) float32, metres
+        0 = none; as `checked_depth` returns it.
+    least : float
+        Smallest `relative` that matters: less is returned as no noise at all.
+    """
+    bends = _bends(depth_m)
+    medians = [one.relative for one in bends]
+    level = [after < _LEVEL * before for before, after in itertools.pairwise(medians)]
+    if True not in level:
+        return NO_NOISE
+    last = len(level) - 1 - level[::-1].index(True)
+    first = last
+    while first > 0 and level[first - 1]:
+        first -= 1
+    full = bends[first + 1]
+    relative = full.relative / _MEDIAN_OF_BEND
+    if relative <= least or full.relative > _SMOOTHEST * medians[0]:
+        return NO_NOISE
+    sigma, power = _law(full)
+    length = _length(bends[: first + 2], _APART * full.relative)
+    return DepthNoise(sigma, power, length, relative)
+
+
+def noise_of_sigma(depth_m: npt.NDArray[np.float32], sigma: float) -> DepthNoise:
+    """Return the noise of one standard deviation of inverse depth, 1/m, at every distance."""
+    bends = _bends(depth_m) if sigma > 0 else []
+    if not bends:
+        return NO_NOISE
+    relative = sigma * float(np.median(1 / bends[0].inverse))
+    reached = relative * _MEDIAN_OF_BEND * _APART
+    return DepthNoise(sigma, 0, _length(bends, reached), relative)
+
+
+def _bends(depth_m: npt.NDArray[np.float32]) -> list[_Bends]:
+    """Return the second differences of as many lags as have samples enough."""
+    lags, counts = np.array(LAGS), np.empty(len(LAGS), np.int64)
+    medians = np.empty(len(LAGS))
+    bends, inverses = np.empty((2, len(LAGS), 2 * SAMPLES**2), np.float32)
+    second_differences(depth_m, lags, counts, medians, bends, inverses)
+    enough = itertools.takewhile(lambda k: counts[k] >= _LEAST_SAMPLES, range(len(LAGS)))
+    return [
+        _Bends(LAGS[k], bends[k, : counts[k]], inverses[k, : counts[k]], float(medians[k]))
+        for k in enough
+    ]
+
+
+def _law(bends: _Bends) -> tuple[float, int]:
+    """Return sigma and power that describe second differences of independent errors."""
+    middle = np.median(bends.inverse)
+    far, near = bends.inverse < middle, bends.inverse >= middle
+    if far.any():
+        apart = np.median(bends.inverse[near]) / np.median(bends.inverse[far])
+        low, high = np.median(bends.bend[far]), np.median(bends.bend[near])
+        # Nearer to apart**2 than to 1.
+        if apart > _HALVES_APART and high > low * apart:
+            return float(np.median(bends.bend / bends.inverse**2)) / _MEDIAN_OF_BEND, 2
+    return float(np.median(bends.bend)) / _MEDIAN_OF_BEND, 0
+
+
+def _length(bends: list[_Bends], reached: float) -> float:
+    """Return the lag at which the medians first reach a value, interpolated; 1 if they never do."""
+    before = None
+    for one in bends:
+        if one.relative >= reached:
+            if before is None or before.relative <= 0:
+                return float(one.lag)
+            share = math.log(reached / before.relative) / math.log(one.relative / before.relative)
+            return float(before.lag * (one.lag / before.lag) ** share)
+        before = one
+    return 1.0

@@ -1,0 +1,25 @@
+"""Decode one image file, with every doubt about it turned into a `DecodeError`.
+
+PNG, JPEG, TIFF, BMP, WebP, PNM and PFM through OpenCV, .npy through NumPy. What an image claims to
+be is read here, before OpenCV sees it: a size that cannot be costs no memory, what is cut or
+damaged is named, and decoders of formats that nobody needs here get no input at all.
+
+The libraries below OpenCV (libpng, libjpeg) print some complaints on the process's stderr. What
+they would complain of in files that are cut or damaged by accident is found here first; in files
+made to deceive it is not, and their line then stands beside ours. File descriptor 2 belongs to the
+whole process, so that holding it back around a decode would swallow other threads' lines too.
+"""
+
+from nimprep.images.array import read_array
+from nimprep.images.decode import read_bytes, read_depth, read_header, read_label, read_rgb
+from nimprep.images.header import ImageHeader
+
+__all__ = [
+    "ImageHeader",
+    "read_array",
+    "read_bytes",
+    "read_depth",
+    "read_header",
+    "read_label",
+    "read_rgb",
+]

@@ -1,0 +1,180 @@
+"""Image files to arrays: colour, depth and labels."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.errors import DecodeError
+from nimprep.files import read_file, read_start
+from nimprep.frame import MAX_PIXELS
+from nimprep.images import jpeg, plain, png, tiff
+from nimprep.images.array import ArrayHeader, read_array, read_array_header
+from nimprep.images.header import MAX_BYTES, ImageHeader, broken, check_header
+
+_FORMATS: dict[bytes, Callable[[bytes, Path], ImageHeader]] = {
+    png.SIGNATURE: png.png_header,
+    jpeg.SIGNATURE: lambda data, path: jpeg.jpeg_outline(data, path).header,
+    **dict.fromkeys(tiff.SIGNATURES, tiff.tiff_header),
+    b"BM": plain.bmp_header,
+    b"RIFF": plain.webp_header,
+    **dict.fromkeys((b"P%c" % kind for kind in b"123456fF"), plain.pnm_header),
+}
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return a file's bytes.
+
+    Raises
+    ------
+    DecodeError
+        It cannot be read, is empty, or larger than any image.
+    """
+    data = read_file(path, MAX_BYTES)
+    if not data:
+        raise DecodeError(f"{path}: expected an image, found an empty file")
+    return data
+
+
+def read_header(path: Path) -> ImageHeader:
+    """Return an image file's size and kind; for PNG and .npy from its first bytes alone.
+
+    Raises
+    ------
+    DecodeError
+        It is no image, is cut short, or claims more than `MAX_PIXELS` pixels.
+    """
+    if path.suffix == ".npy":
+        array = _check_shape(read_array_header(path), path)
+        return ImageHeader(array.shape[0], array.shape[1], 8 * array.dtype.itemsize, "array")
+    start = read_start(path, png.HEADER_BYTES)
+    return _header(start if start.startswith(png.SIGNATURE) else read_bytes(path), path)
+
+
+def _check_shape(header: ArrayHeader, path: Path) -> ArrayHeader:
+    shape = header.shape
+    if len(shape) not in (2, 3) or not 0 < shape[0] * shape[1] <= MAX_PIXELS:
+        raise DecodeError(
+            f"{path}: expected an image of 1 to {MAX_PIXELS} pixels, found shape {shape}"
+        )
+    return header
+
+
+def _header(data: bytes, path: Path) -> ImageHeader:
+    for signature, parse in _FORMATS.items():
+        if data.startswith(signature):
+            header = parse(data, path)
+            check_header(header, path)
+            return header
+    raise DecodeError(
+        f"{path}: expected an image (PNG, JPEG, TIFF, BMP, WebP, PNM or .npy), "
+        f"found {len(data)} bytes that are none"
+    )
+
+
+def _read_image(path: Path, *, color: bool = False) -> npt.NDArray[Any]:
+    if path.suffix == ".npy":
+        _check_shape(read_array_header(path), path)
+        return read_array(path)
+    data = read_bytes(path)
+    header = _header(data, path)
+    if color and header.bits != 8:
+        raise DecodeError(f"{path}: expected an 8-bit colour image, found {header}")
+    if data.startswith(png.SIGNATURE):
+        data = png.checked_png(data, path)
+    image = _decode(data, path, color=color)
+    if image.shape[:2] != (header.height, header.width):
+        raise broken(path, "image", f"a header of {header} before pixels of {image.shape[:2]}")
+    if data.startswith(jpeg.SIGNATURE) and jpeg.may_be_cut(image):
+        _check_jpeg_end(data, image, path, color=color)
+    # OpenCV spreads the values of 1, 2 and 4 bits over 0-255.
+    few = header.bits < 8 and image.ndim == 2
+    return image // np.uint8(255 // ((1 << header.bits) - 1)) if few else image
+
+
+def _decode(data: bytes, path: Path, *, color: bool) -> npt.NDArray[Any]:
+    # OpenCV reads both when it is first imported. Its own log would come before our line.
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MAX_PIXELS))
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+    import cv2
+
+    # The camera belongs to the stored pixels, so an orientation tag must not turn them.
+    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION if color else cv2.IMREAD_UNCHANGED
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise DecodeError(f"{path}: expected an image, found {error.err}") from error
+    if image is None:
+        raise DecodeError(f"{path}: expected an image, found {len(data)} bytes that are none")
+    return np.asarray(image)
+
+
+def _check_jpeg_end(data: bytes, image: npt.NDArray[Any], path: Path, *, color: bool) -> None:
+    longer = jpeg.with_filler(data, jpeg.jpeg_outline(data, path))
+    if not np.array_equal(_decode(longer, path, color=color), image):
+        raise broken(path, "JPEG", "one whose pixels end before the image does; it was cut")
+
+
+def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
+    """Return a colour image as (H, W, 3) uint8, channels R, G, B.
+
+    Raises
+    ------
+    DecodeError
+        It is no 8-bit image, is truncated or damaged.
+    """
+    return _read_image(path, color=True)
+
+
+def read_depth(path: Path) -> npt.NDArray[Any]:
+    """Return a depth image's raw values as (H, W), uint16 or floating.
+
+    PNG, TIFF, PGM and PFM through OpenCV; .npy through NumPy.
+
+    Raises
+    ------
+    DecodeError
+        It has 8 bits (a picture of depth, not depth), several channels, or is damaged.
+    """
+    image = _read_image(path)
+    if image.ndim != 2:
+        raise DecodeError(
+            f"{path}: expected depth of one channel, found {image.shape[2]} channels "
+            f"of {image.dtype}; use the dataset's raw depth"
+        )
+    if image.dtype == np.uint8:
+        raise DecodeError(
+            f"{path}: expected 16-bit or floating-point depth, found 8-bit; "
+            "8-bit depth images are for looking at only, use the raw ones"
+        )
+    if image.dtype != np.uint16 and not np.issubdtype(image.dtype, np.floating):
+        raise DecodeError(
+            f"{path}: expected 16-bit unsigned or floating-point depth, found {image.dtype}"
+        )
+    return image
+
+
+def read_label(path: Path) -> npt.NDArray[Any]:
+    """Return a label image's raw values: (H, W) uint8 or uint16, or (H, W, 3) uint8 R, G, B.
+
+    Raises
+    ------
+    DecodeError
+        It has other values than whole numbers of 8 or 16 bits, or is damaged.
+    """
+    image = _read_image(path)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise DecodeError(f"{path}: expected an 8-bit or 16-bit label, found {image.dtype}")
+    if image.ndim == 3:
+        if image.shape[2] < 3 or image.dtype != np.uint8:
+            raise DecodeError(
+                f"{path}: expected one channel, or three of 8 bits, "
+                f"found {image.shape[2]} of {image.dtype}"
+            )
+        return np.ascontiguousarray(image[:, :, 2::-1])
+    return image
