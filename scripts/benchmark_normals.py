@@ -1,12 +1,15 @@
-"""Time normals of one 720p frame: nimprep, its peers and the streaming bound, side by side.
+"""Time normals of one 720p frame, and measure their errors on scenes with exact ones.
 
-    python scripts/benchmark_normals.py [--rounds N]
+    python scripts/benchmark_normals.py [--rounds N] [--skip-errors]
+
+Side by side: nimprep, its peers and the streaming bound; errors by scripts/normals_errors.py.
 
 The frame is GMRP's of the reference data (folder from NIMPREP_REFERENCE_DATA, else ../shared/data
 beside the project) or, without it, a synthetic one. A peer that is not installed is named as such;
 `pip install "nimprep[bench]"` brings them. Each time is the best of interleaved rounds, the thread
 count really set for each column. Every row takes float32 depth and leaves normals in an array that
-is there already where the peer can, unless its name says otherwise.
+is there already where the peer can, unless its name says otherwise. The real frame is noisy: how
+long nim-edge takes where it finds nothing to smooth is measured on a synthetic frame.
 """
 
 from __future__ import annotations
@@ -19,12 +22,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from normals_errors import print_errors
 from normals_peers import PEERS
 from numba import float32, int64, njit, void
 
 from nimprep import Camera, estimate_normals
 from nimprep.camera import D415_HORIZONTAL_FOV_DEG
 from nimprep.derive.threads import available_cores, run_blocks
+from nimprep.synthetic import render_frame
 
 Run = Callable[[], np.ndarray]
 
@@ -33,10 +38,17 @@ BLOCK_ROWS = 24
 SECONDS_PER_ROW = 4.0
 
 
-def load_frame() -> tuple[np.ndarray, str]:
-    """Return (720, 1280) float32 metres, 0 = none, and where they come from."""
+CLEAN = "nimprep nim-edge, frame without noise"
+
+
+def reference_data() -> Path:
+    """Return the folder of real frames, which may not be there."""
     here = Path(__file__).resolve().parent.parent
-    data = Path(os.environ.get("NIMPREP_REFERENCE_DATA", here.parent / "shared" / "data"))
+    return Path(os.environ.get("NIMPREP_REFERENCE_DATA", here.parent / "shared" / "data"))
+
+
+def load_frame(data: Path) -> tuple[np.ndarray, str]:
+    """Return (720, 1280) float32 metres, 0 = none, and where they come from."""
     path = data / "gmrp" / "depth_u16" / "000001.png"
     if path.is_file():
         raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -69,7 +81,7 @@ def _stream_vectorised(depth, row_start, row_stop, out):
             target[3 * u + 2] = z
 
 
-def own_rows(depth: np.ndarray, camera: Camera, threads: int) -> dict[str, Run]:
+def own_rows(depth: np.ndarray, clean: np.ndarray, camera: Camera, threads: int) -> dict[str, Run]:
     """Return nimprep's rows and the streaming bound, on this many threads."""
     out = np.zeros((*depth.shape, 3), np.float32)
     height = depth.shape[0]
@@ -84,13 +96,15 @@ def own_rows(depth: np.ndarray, camera: Camera, threads: int) -> dict[str, Run]:
 
         return run
 
-    def nim(**options: object) -> Run:
+    def nim(depth: np.ndarray = depth, **options: object) -> Run:
         return lambda: estimate_normals(depth, camera, num_threads=threads, **options)
 
     return {
         "nimprep nim": nim(out=out),
         "nimprep nim, new array each time": nim(),
         "nimprep nim, sign filter": nim(out=out, sign_filter=True),
+        "nimprep nim-edge": nim(out=out, method="nim-edge"),
+        CLEAN: nim(clean, out=out, method="nim-edge"),
         "streaming bound, plain loop": bound(_stream),
         "streaming bound, vectorised": bound(_stream_vectorised),
     }
@@ -130,7 +144,7 @@ def print_table(
     print("| --- | ---: | ---: | ---: | ---: | ---: |")
     for name in one:
         ratios = one[name] / one[base], every[name] / every[base]
-        angle = "" if "bound" in name else f"{angles[name]:.2f}°"
+        angle = "" if "bound" in name or name == CLEAN else f"{angles[name]:.2f}°"
         print(
             f"| {name} | {one[name]:.2f} | {ratios[0]:.2f} "
             f"| {every[name]:.2f} | {ratios[1]:.2f} | {angle} |"
@@ -147,6 +161,11 @@ def print_outcome(every: dict[str, float], peers: list[str]) -> None:
     for name in peers:
         if "torch" in name:
             print(f"{name}: {every[name] / nim:.0f} times nim's time")
+    for name in ("nimprep nim-edge", CLEAN):
+        versus = (
+            f", 1/{every['d2nt v3'] / every[name]:.0f} of d2nt v3's" if "d2nt v3" in every else ""
+        )
+        print(f"{name}: {every[name] / nim:.2f} times nim's time{versus}")
     for name in (name for name in every if "bound" in name):
         print(f"nim reaches {every[name] / nim:.0%} of the {name}")
 
@@ -154,14 +173,16 @@ def print_outcome(every: dict[str, float], peers: list[str]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=30)
-    rounds = parser.parse_args().rounds
-    depth, source = load_frame()
+    parser.add_argument("--skip-errors", action="store_true", help="Measure time alone.")
+    arguments = parser.parse_args()
+    depth, source = load_frame(reference_data())
     camera = Camera.from_fov(D415_HORIZONTAL_FOV_DEG, WIDTH, HEIGHT)
+    clean = render_frame(0, 0, camera, noise=False).depth_exact_m
     print(f"{source}, {WIDTH}x{HEIGHT}, {np.mean(depth == 0):.0%} without depth\n")
     reference = estimate_normals(depth, camera)
     columns, angles, missing = [], {}, []
     for threads in (1, available_cores()):
-        rows = own_rows(depth, camera, threads)
+        rows = own_rows(depth, clean, camera, threads)
         peers = {}
         for prepare in PEERS:
             try:
@@ -170,12 +191,15 @@ def main() -> None:
                 missing.append(str(error.name))
         rows |= peers
         angles = {name: angle_to(reference, run()) for name, run in rows.items()}
-        columns.append(best_times(rows, rounds))
+        columns.append(best_times(rows, arguments.rounds))
     print_table(columns[0], columns[1], angles, available_cores())
     for name in sorted(set(missing)):
         print(f"{name}: not installed")
     print()
     print_outcome(columns[1], list(peers))
+    if not arguments.skip_errors:
+        print()
+        print_errors(reference_data(), columns[1])
 
 
 if __name__ == "__main__":

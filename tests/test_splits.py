@@ -137,12 +137,12 @@ def test_frames_that_join_fill_up_what_is_held_out(old: int, new: int, seed: int
     splits = extend_splits(dict.fromkeys(ids, ""), known, "frame", seed)
     assert list(splits) == ids
     assert {i: splits[i] for i in ids[:old]} == known
+    before, after = count_splits(known.values()), count_splits(splits.values())
     held_out = held_out_count(old + new)
-    assert count_splits(splits.values()) == {
-        "train": old + new - 2 * held_out,
-        "val": held_out,
-        "test": held_out,
-    }
+    # Few new frames may be too few for both; val comes first.
+    assert after["val"] == min(held_out, before["val"] + new)
+    left = new - (after["val"] - before["val"])
+    assert after["test"] == min(held_out, before["test"] + left)
 
 
 def test_frames_that_join_are_taken_in_hash_order() -> None:

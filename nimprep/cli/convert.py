@@ -57,7 +57,20 @@ def _modalities(
     help="Comma-separated; default: rgb,depth,normal,hha,label as far as there are; by name only: "
     "disparity,transformed-disparity,elevation.",
 )
+@click.option(
+    "--normals",
+    type=click.Choice(["nim", "nim-edge"]),
+    default="nim",
+    show_default=True,
+    help="Normals by the paper's method, or by the one that keeps depth edges and smooths noise.",
+)
 @click.option("--sign-filter", is_flag=True, help="Normals by NIM with its sign filter.")
+@click.option(
+    "--noise",
+    type=click.FloatRange(0),
+    metavar="PER_METRE",
+    help="Standard deviation of inverse depth for nim-edge, 1/m; default: by each frame.",
+)
 @click.option(
     "--fill",
     type=click.Choice(["none", "nearest", "linear", "colorization"]),
@@ -118,7 +131,8 @@ def _modalities(
 def convert(src: str, out: str, quiet: bool, allow_skipped: int, **given: Any) -> None:
     """Turn the raw dataset SRC into the store OUT.
 
-    SRC is never written to. OUT is complete or not there; a conversion that was cut short goes on
+    SRC is never written to. OUT is a folder, or with the extra cloud a URL such as
+    s3://bucket/out.zarr. It is complete or not there; a conversion that was cut short goes on
     where it stopped when the same command is given again. What the store holds is printed at the
     end: look at the depth's percentiles to see that the unit is right.
     """
@@ -127,6 +141,10 @@ def convert(src: str, out: str, quiet: bool, allow_skipped: int, **given: Any) -
         raise click.UsageError("expected --split-file or --split-by, found both")
     if given["store_filled"] and given["fill"] == "none":
         raise click.UsageError("expected --fill with --store-filled, found none")
+    if given["sign_filter"] and given["normals"] != "nim":
+        raise click.UsageError("expected --sign-filter with --normals nim, found nim-edge")
+    if given["noise"] is not None and given["normals"] != "nim-edge":
+        raise click.UsageError("expected --noise with --normals nim-edge, found nim")
     import nimprep
     from nimprep.store.info import info_text, store_info
 

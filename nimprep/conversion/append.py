@@ -210,6 +210,9 @@ class _Append:
         run.encode(start)
         records = run.records()
         self._facts, self._skipped = _flat(records)
+        if not self._facts:
+            self._workspace.clear()
+            return self._appended(self._store)
         frames = len(self._store) + len(self._facts)
         layout = replace(run.job.layout, frames=frames, classes=self._store.classes)
         self._workspace.joined.remove("")

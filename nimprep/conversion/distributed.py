@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import logging
 import pickle
 import threading
 import time
 import uuid
+import warnings
 import zlib
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
@@ -35,6 +37,9 @@ CONNECT_S = 10.0
 
 PATIENCE_S = 300.0
 """How long a cluster may be without any worker: one that grows on demand needs minutes."""
+
+LOOK_S = 5.0
+"""How often to look for workers while nothing is finished."""
 
 AHEAD = 2
 """Units in the works per thread of the cluster: one at work, one that waits."""
@@ -120,8 +125,8 @@ def check_scheduler(address: str) -> None:
             pool.submit(asyncio.run, _knock(address)).result()
     except (OSError, ValueError) as error:
         raise ClusterError(
-            f"{address}: expected a Dask scheduler, found {error or 'no answer'}; start one with "
-            "dask scheduler, or convert without --scheduler"
+            f"{address}: expected a Dask scheduler, found {str(error) or 'no answer'}; start one "
+            "with dask scheduler, or convert without --scheduler"
         ) from error
 
 
@@ -139,19 +144,23 @@ async def _knock(address: str) -> None:
 def _connected(address: str) -> Iterator[Any]:
     """Give a client; when the context ends, tasks that nobody waits for any more are dropped."""
     from distributed import Client
-    from distributed.client import FutureCancelledError
 
-    client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    # A lost connection is told once, below, and not as tracebacks on stderr beside it.
+    log.setLevel(logging.CRITICAL + 1)
     try:
-        yield client
+        with closing(Client(address, timeout=CONNECT_S, set_as_default=False)) as client:
+            yield client
     except NimprepError:
         raise
-    except (OSError, FutureCancelledError) as error:
+    except (OSError, CancelledError) as error:
         raise ClusterError(
-            f"{address}: expected the scheduler to stay, found it gone ({error})"
+            f"{address}: expected the cluster to see it through, found the connection lost or the "
+            "tasks cancelled"
         ) from error
     finally:
-        client.close()
+        log.setLevel(level)
 
 
 def _threads(client: Any) -> int:
@@ -161,7 +170,7 @@ def _threads(client: Any) -> int:
 def _submitter(client: Any, job: Job) -> Callable[[int], Any]:
     """Send the job to the cluster, once; return what submits a unit of it by number."""
     run = uuid.uuid4().hex
-    data = zlib.compress(pickle.dumps((run, _portable(job), _root_digest(job))), 1)
+    data = _packed(job, run)
     # A task that returns it, and not scattered data: the scheduler can make that anew when the
     # worker that holds it is lost.
     shared = client.submit(_constant(), data, key=f"nimprep-job-{run}", retries=RETRIES)
@@ -172,6 +181,11 @@ def _submitter(client: Any, job: Job) -> Callable[[int], Any]:
         return client.submit(encode, __version__, shared, number, key=key, retries=RETRIES)
 
     return submit
+
+
+def _packed(job: Job, run: str) -> bytes:
+    """Return what a worker needs to know; `run` tells conversions apart that are alike."""
+    return zlib.compress(pickle.dumps((run, _portable(job), _root_digest(job))), 1)
 
 
 def _portable(job: Job) -> Job:
@@ -222,17 +236,26 @@ def _finished(client: Any, futures: Sequence[Any]) -> set[Any]:
     """Wait until some futures are done; return them."""
     from distributed import wait
 
-    alone_since = time.monotonic()
+    alone_since = None
     while True:
         try:
             with client.as_current():
-                finished: set[Any] = wait(futures, timeout=5, return_when="FIRST_COMPLETED").done
+                finished: set[Any] = wait(
+                    futures, timeout=LOOK_S, return_when="FIRST_COMPLETED"
+                ).done
             return finished
         except TimeoutError:
-            if _threads(client):
-                alone_since = time.monotonic()
-        if time.monotonic() - alone_since > PATIENCE_S:
-            address = client.scheduler.address
+            pass
+        if _threads(client):
+            alone_since = None
+            continue
+        address = client.scheduler.address
+        if alone_since is None:
+            alone_since = time.monotonic()
+            warnings.warn(
+                f"{address}: no workers, waiting {PATIENCE_S:.0f} s for some", stacklevel=2
+            )
+        if time.monotonic() - alone_since >= PATIENCE_S:
             raise ClusterError(
                 f"{address}: expected workers, found none for {PATIENCE_S:.0f} s; start some with "
                 f"dask worker {address}"

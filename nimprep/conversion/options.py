@@ -46,7 +46,10 @@ class ConvertOptions:
     normals : str
         Method of `estimate_normals`.
     sign_filter : bool
-        Its option of that name.
+        Its option of that name, for "nim".
+    noise : float, optional
+        Its option of that name, for "nim-edge": standard deviation of inverse depth, 1/m; None =
+        estimated from each frame.
     fill : {"none", "nearest", "linear", "colorization"}
         How holes in depth are filled for normals and HHA.
     store_filled : bool
@@ -86,6 +89,7 @@ class ConvertOptions:
     modalities: Sequence[str] | None = None
     normals: str = "nim"
     sign_filter: bool = False
+    noise: float | None = None
     fill: str = "none"
     store_filled: bool = False
     normal_dtype: str = "int8"
@@ -162,4 +166,6 @@ class ConvertOptions:
     @property
     def recipe(self) -> Recipe:
         """How derived modalities are made."""
-        return Recipe(self.normals, self.sign_filter, self.fill, self.store_filled)
+        return Recipe(
+            self.normals, self.sign_filter, self.fill, self.store_filled, noise=self.noise
+        )

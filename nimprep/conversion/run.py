@@ -217,27 +217,19 @@ class Run:
             error.add_note(f"{kept} of {total} frames are kept: the same command goes on from them")
 
     def records(self) -> list[UnitRecord]:
-        """Return what is known of the units, all of which are done.
-
-        Raises
-        ------
-        DecodeError
-            Not one frame is good.
-        """
-        records = [record for _, record in sorted(self._journal.records().items())]
-        if not any(record.frames for record in records):
-            skipped = list(chain.from_iterable(record.skipped for record in records))
-            raise DecodeError(
-                f"{self._source}: expected at least one good frame, found {len(skipped)} bad ones, "
-                f"first {skipped[0].id!r}: {skipped[0].reason}"
-            )
-        return records
+        """Return what is known of the units, in order."""
+        return [record for _, record in sorted(self._journal.records().items())]
 
     def finish(self) -> None:
         """Close the gaps of skipped frames, write the tables, and complete the store."""
         records = self.records()
         facts = list(chain.from_iterable(record.frames for record in records))
         skipped = list(chain.from_iterable(record.skipped for record in records))
+        if not facts:
+            raise DecodeError(
+                f"{self._source}: expected at least one good frame, found {len(skipped)} bad ones, "
+                f"first {skipped[0].id!r}: {skipped[0].reason}"
+            )
         self._pack(records)
         ids = [frame.id for frame in facts]
         attributes = {

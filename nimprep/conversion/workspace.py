@@ -13,7 +13,7 @@ from typing import Protocol
 from filelock import FileLock, Timeout
 
 from nimprep.errors import StoreError
-from nimprep.store.metadata import ROOT, sync_folder, write_file
+from nimprep.store.metadata import ROOT, write_file
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import OLD, check_target, move_into_place, put_back
 
@@ -165,11 +165,9 @@ def open_workspace(target: Path, *, overwrite: bool, task: str = "") -> Iterator
 
 
 def _sync_files(folder: Path) -> None:
-    """Put everything on the disk: a power failure after the renaming must not empty a file."""
-    for path in (folder, *folder.rglob("*")):
-        if path.is_dir():
-            sync_folder(path)
-        else:
+    """Put every file on the disk: a power failure after the renaming must not empty one."""
+    for path in folder.rglob("*"):
+        if path.is_file():
             descriptor = os.open(path, os.O_RDONLY)
             try:
                 os.fsync(descriptor)

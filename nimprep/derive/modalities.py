@@ -35,6 +35,8 @@ class Recipe:
         Whether the store holds the filled depth in place of the raw one.
     virtual_baseline_m : float
         Baseline of the disparity of frames that have none, metres.
+    noise : float, optional
+        What `estimate_normals` takes by that name, 1/m.
     """
 
     normals: str = "nim"
@@ -42,14 +44,16 @@ class Recipe:
     fill: str = "none"
     store_filled: bool = False
     virtual_baseline_m: float = VIRTUAL_BASELINE_M
+    noise: float | None = None
 
     def __post_init__(self) -> None:
-        from nimprep.derive.normals import METHODS
+        from nimprep.derive.normals import METHODS, check_method
 
         if self.normals not in METHODS:
             raise ArrayError(
                 f"normals: expected one of {', '.join(METHODS)}, found {self.normals!r}"
             )
+        check_method(self.normals, self.sign_filter, self.noise)
         if self.fill not in FILLS:
             raise ArrayError(f"fill: expected one of {', '.join(FILLS)}, found {self.fill!r}")
         if self.store_filled and self.fill == "none":
@@ -58,8 +62,10 @@ class Recipe:
     def describe(self, modality: str) -> dict[str, Any]:
         """Return what a store's metadata says of how a modality was made."""
         if modality == "normal":
-            parameters = {"sign_filter": self.sign_filter, "fill": self.fill}
-            return {"method": self.normals, "parameters": parameters}
+            options: dict[str, Any] = {"sign_filter": self.sign_filter}
+            if self.normals == "nim-edge":
+                options = {"noise": "estimated" if self.noise is None else self.noise}
+            return {"method": self.normals, "parameters": {**options, "fill": self.fill}}
         if modality == "hha":
             return {
                 "method": "hha",
@@ -97,6 +103,7 @@ def _describe_plane(modality: str, recipe: Recipe) -> dict[str, Any]:
 def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
     """Return the recipe that a store's `modalities` attribute describes."""
     normal = modalities.get("normal", {"method": "nim", "parameters": {}})
+    noise = normal["parameters"].get("noise", "estimated")
     derived = [modalities[m]["parameters"] for m in DERIVED if m in modalities]
     stored = modalities.get("depth", {"parameters": {}})["parameters"]
     return Recipe(
@@ -110,6 +117,7 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
                 VIRTUAL_BASELINE_M,
             )
         ),
+        noise=None if noise == "estimated" else float(noise),
     )
 
 
@@ -173,6 +181,7 @@ def derive(
             method=recipe.normals,
             sign_filter=recipe.sign_filter,
             num_threads=1,
+            noise=recipe.noise,
         )
     if "hha" in modalities:
         from nimprep.derive.gravity import estimate_gravity

@@ -67,8 +67,8 @@ class _Bends:
     """Hold absolute second differences of inverse depth at one lag, and inverse depth itself."""
 
     lag: int
-    bend: npt.NDArray[np.float32]
-    inverse: npt.NDArray[np.float32]
+    bend: npt.NDArray[np.float64]
+    inverse: npt.NDArray[np.float64]
     relative: float
 
 
@@ -118,7 +118,7 @@ def _bends(depth_m: npt.NDArray[np.float32]) -> list[_Bends]:
     """Return the second differences of as many lags as have samples enough."""
     lags, counts = np.array(LAGS), np.empty(len(LAGS), np.int64)
     medians = np.empty(len(LAGS))
-    bends, inverses = np.empty((2, len(LAGS), 2 * SAMPLES**2), np.float32)
+    bends, inverses = np.empty((2, len(LAGS), 2 * SAMPLES**2))
     second_differences(depth_m, lags, counts, medians, bends, inverses)
     enough = itertools.takewhile(lambda k: counts[k] >= _LEAST_SAMPLES, range(len(LAGS)))
     return [

@@ -75,7 +75,8 @@ def estimate_normals(
     References
     ----------
     Wang et al., "Applying surface normal information in drivable area and road anomaly detection
-    for ground mobile robots", IROS 2020.
+    for ground mobile robots", IROS 2020. For the differences of "nim-edge": Liu, Osher & Chan,
+    "Weighted essentially non-oscillatory schemes", J. Comput. Phys. 115, 1994.
     """
     check_method(method, sign_filter, noise)
     depth = checked_depth(depth_m, camera)

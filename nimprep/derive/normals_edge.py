@@ -16,8 +16,8 @@ from nimprep.derive.noise import DepthNoise, estimate_noise, noise_of_sigma
 from nimprep.derive.threads import run_blocks, run_rows
 
 SIDES = (8, 16)
-"""Sides of the cells that are smoothed over, pixels. Cells of 4 gained 0.05 degrees on depth in
-millimetres, and took half as long again."""
+"""Sides of the cells that are smoothed over, pixels. Cells of 4 gained nothing on streets in
+millimetres, half a degree on small round things near by, and took 1.6 times as long."""
 
 # Noise that turns a normal by less is left alone, degrees.
 _NIL_DEG = 0.1
@@ -91,7 +91,8 @@ def depth_scale(depth_m: Image) -> np.float32:
     height, width = depth_m.shape
     sample = depth_m[:: max(height // 32, 1), :: max(width // 32, 1)]
     some = sample[sample > 0]
-    middle = float(np.median(some)) if some.size else float(depth_m.max())
+    # In float64: the mean of two in the middle may leave float32.
+    middle = float(np.median(some.astype(np.float64))) if some.size else float(depth_m.max())
     exponent = math.frexp(middle)[1]
     return np.float32(2.0 ** -min(max(exponent, -126), 126))
 

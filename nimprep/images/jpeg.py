@@ -52,8 +52,9 @@ class JpegOutline:
 def jpeg_outline(data: bytes, path: Path) -> JpegOutline:
     """Walk a JPEG's markers to its end.
 
-    A progressive JPEG that was cut and closed again is told by the scans it lacks; any other by
-    `may_be_cut`.
+    A progressive JPEG that was cut and closed again is told by the scans it lacks, any other by
+    `may_be_cut`. One that was cut within its last scan is taken: it lacks but the last bits of some
+    coefficients.
 
     Raises
     ------
@@ -72,11 +73,11 @@ def jpeg_outline(data: bytes, path: Path) -> JpegOutline:
             missing = {(c, k): 1 for c in frame[1] for k in range(64)}
         elif marker == _SCAN:
             scans, end = scans + 1, _next_marker(data, stop)
+            if scans > MAX_SCANS:
+                raise broken(path, "JPEG", f"more than {MAX_SCANS} scans")
             _strike(missing, body, progressive=frame is not None and frame[2])
     if frame is None or scans == 0:
         raise broken(path, "JPEG", "no header or no pixels")
-    if scans > MAX_SCANS:
-        raise broken(path, "JPEG", f"more than {MAX_SCANS} scans")
     if any(missing.values()):
         raise broken(path, "JPEG", f"{scans} scans, which are not all there should be; it was cut")
     return JpegOutline(frame[0], frame[2], end)

@@ -39,6 +39,8 @@ class ZipWhole:
 
     def add(self, name: str, data: bytes) -> None:
         """Add one entry at the zip's root, stored as it is: PNGs compress no further."""
+        if not name or not name.isprintable() or not {"/", "\\", ":"}.isdisjoint(name):
+            raise LayoutError(f"{self._path}: expected an entry's plain name, found {name!a}")
         entry = zipfile.ZipInfo(name, date_time=_EPOCH)
         # Unix, a plain file for all to read: the defaults differ between systems.
         entry.create_system = 3

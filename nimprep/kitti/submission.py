@@ -171,7 +171,7 @@ def _take_inventory(folder: Path, calib: Path | None, target: Target, partial: b
         except LayoutError:
             name = None
         if name not in official or path.suffix not in PREDICTION_SUFFIXES or name is None:
-            inventory.extra.append(path.name)
+            inventory.extra.append(path.name if path.name.isprintable() else ascii(path.name))
         elif name in inventory.files:
             inventory.wrong.append(f"{path.name} (beside {inventory.files[name].name})")
         else:

@@ -32,7 +32,7 @@ def describe(
     store: Store, facts: Collected, findings: Sequence[Finding], charts: dict[str, Chart]
 ) -> dict[str, Any]:
     """Return what the template prints, but for the gallery."""
-    info = store_info(store.path)
+    info = store_info(store)
     return {
         "info": info,
         "charts": charts,

@@ -60,6 +60,7 @@ class Finding:
 def find(store: Store, facts: Collected) -> list[Finding]:
     """Return everything that looks wrong, problems first."""
     found = [
+        *_left_out(store),
         *_shared_scenes(store),
         *_duplicates(store, facts),
         *_depth(store, facts),
@@ -71,7 +72,7 @@ def find(store: Store, facts: Collected) -> list[Finding]:
 
 def checks(store: Store) -> list[str]:
     """Return what `find` looks for in this store, in words."""
-    named = ["train and test frames of one scene"]
+    named = ["frames left out", "train and test frames of one scene"]
     if "rgb" in store.modalities:
         named += ["near-duplicates across splits", "flat colour images"]
     if "depth" in store.modalities:
@@ -88,6 +89,20 @@ def _numbers(mask: npt.NDArray[np.bool_]) -> tuple[int, ...]:
 def counted(number: int, what: str = "frame") -> str:
     """Return "1 frame", "2 frames"."""
     return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def _left_out(store: Store) -> Iterator[Finding]:
+    """Yield what the conversion left out because it was bad."""
+    skipped = store.attributes.get("skipped", [])
+    if skipped:
+        named = "; ".join(f"{entry['id']} ({entry['reason']})" for entry in skipped[:5])
+        more = f"; and {len(skipped) - 5} more" if len(skipped) > 5 else ""
+        yield Finding(
+            "left-out",
+            "look",
+            "Frames left out",
+            f"{counted(len(skipped))} of the source not converted: {named}{more}.",
+        )
 
 
 def _shared_scenes(store: Store) -> Iterator[Finding]:

@@ -55,8 +55,8 @@ class Examined:
     artist: Artist
 
 
-def examine(path: Path | str, progress: Progress | None = None) -> Examined:
-    """Open a store and collect what its page shows.
+def examine(store: Store | Path | str, progress: Progress | None = None) -> Examined:
+    """Collect what a store's page shows.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def examine(path: Path | str, progress: Progress | None = None) -> Examined:
         There is no store, or it is damaged.
     """
     check_libraries()
-    store = open_store(path)
+    store = store if isinstance(store, Store) else open_store(store)
     facts = collect(store, progress)
     findings = tuple(find(store, facts))
     return Examined(store, facts, findings, make_charts(store, facts), Artist(store, facts))
@@ -104,7 +104,7 @@ def _note(frames: int, gallery: Gallery | None) -> str:
 
 
 def write_report(
-    path: Path | str,
+    store: Store | Path | str,
     out: Path | str,
     overwrite: bool = False,
     megabytes: float = MEGABYTES,
@@ -114,8 +114,7 @@ def write_report(
 
     Parameters
     ----------
-    path : path
-        The store.
+    store : Store, path or URL
     out : path
         The file.
     overwrite : bool
@@ -135,8 +134,9 @@ def write_report(
         `out` is there already, lies in the store, or cannot be written.
     """
     out = Path(out)
-    check_target(out, Path(path), overwrite=overwrite)
-    seen = examine(path, progress)
+    place = store.path if isinstance(store, Store) else store
+    check_target(out, Path(place), overwrite=overwrite)
+    seen = examine(store, progress)
     bare = page_of(seen, Gallery(0, {}))
     room = int(megabytes * 1e6) - len(bare.encode()) - _RESERVE
     if room < 0:

@@ -183,7 +183,7 @@ def layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
     try:
         return _layout_problems(document, spec)
     except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
-        return [f"expected an array's metadata, found it malformed ({error!r})"]
+        return [f"expected an array's metadata, found it malformed ({error!r:.200})"]
 
 
 def _byte_orders(spec: ArraySpec, codec: dict[str, Any]) -> tuple[str, str]:
@@ -216,15 +216,22 @@ def _layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
         ("shard shape", [grid[0], *shape[1:]], grid),
         ("index place", "end", inner.get("index_location", "end")),
         ("index codecs", ["bytes", "crc32c"], [c["name"] for c in inner["index_codecs"]]),
+        (
+            "index byte order",
+            "little",
+            inner["index_codecs"][0].get("configuration", {}).get("endian", "little"),
+        ),
         ("transformers", [], document.get("storage_transformers", [])),
     ]
     for what, wanted, found in expected:
         if wanted != found:
-            problems.append(f"expected {what} {wanted}, found {found}")
+            problems.append(f"expected {what} {wanted}, found {found!r:.200}")
     numbers = [*shape, grid[0]]
     sane = all(type(n) is int and n > 0 for n in numbers)
     if not sane or grid[0] > 1 << 16 or shape[0] > MAX_FRAMES:
-        problems.append(f"expected positive sizes, found shape {shape} in shards of {grid[0]}")
+        problems.append(
+            f"expected positive sizes, found shape {shape!r:.200} in shards of {grid[0]!r:.200}"
+        )
     elif shape[1] * shape[2] > MAX_PIXELS or (len(shape) == 4 and shape[3] != 3):
         problems.append(f"expected images of at most {MAX_PIXELS} pixels, found shape {shape}")
     return problems

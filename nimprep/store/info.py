@@ -64,15 +64,16 @@ def _depth_sources(attributes: dict[str, Any]) -> dict[str, int]:
     column = attributes.get("frame_metadata", {}).get("depth_source")
     if column is None:
         return {}
-    names = (column["values"][i] for i in column["of_frame"])
-    return dict(sorted(Counter(name for name in names if name).items()))
+    values = column["values"]
+    names = (values[i] for i in column["of_frame"] if i < len(values))
+    return dict(sorted(Counter(n for n in names if n and isinstance(n, str)).items()))
 
 
 def _camera(store: Store) -> dict[str, Any]:
     """Return the intrinsics where all frames share them, else null, and the baselines' range."""
     k = store.tables.intrinsics
-    same = bool((k == k[0]).all())
-    baseline = store.tables.baseline[~np.isnan(store.tables.baseline)]
+    same = bool((k == k[0]).all() and np.isfinite(k[0]).all())
+    baseline = store.tables.baseline[np.isfinite(store.tables.baseline)]
     road = ~np.isnan(store.tables.cam_to_road).any(axis=(1, 2))
     return {
         "intrinsics": k[0].tolist() if same else None,

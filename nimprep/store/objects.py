@@ -378,7 +378,8 @@ def _opened(url: str, options: dict[str, Any]) -> ObjectStore:
     try:
         return from_url(url, client_options=client, retry_config=retry, **rest)
     except (BaseError, ValueError, TypeError) as error:
-        raise StoreError(f"{url}: {_explained(error)}") from error
+        found = _shortened(str(error))
+        raise StoreError(f"{url}: expected settings to reach it with, found: {found}") from error
 
 
 def _refuse_lost_bucket(error: FileNotFoundError) -> None:
@@ -408,10 +409,14 @@ def _explained(error: Exception) -> str:
         return f"expected access, found it denied ({answer or kind}); {_CREDENTIALS}"
     if "169.254.169.254" in text or "metadata.google" in text:
         return f"expected credentials, found none; {_CREDENTIALS}"
-    first = text.partition(_DETAILS)[0]
     server = re.search(r"performing \w+ (\w+://[^/\s]+)", text)
-    # What precedes the dash says which request it was, which the key does already.
-    found = answer or " ".join(first.rpartition(" - ")[2].split())
+    found = answer or _shortened(text)
     tries = re.search(r"after (\d+) retries", text)
     many = f" after {tries[1]} retries" if tries else ""
-    return f"expected an answer{f' of {server[1]}' if server else ''}, found {found[:300]}{many}"
+    return f"expected an answer{f' of {server[1]}' if server else ''}, found {found}{many}"
+
+
+def _shortened(text: str) -> str:
+    said = " ".join(text.partition(_DETAILS)[0].split())
+    # What precedes the dash says which request it was, which the key does already.
+    return re.sub(r"^Generic \w+ error: ", "", said.rpartition(" - ")[2])[:300]

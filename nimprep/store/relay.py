@@ -89,5 +89,8 @@ def serve() -> None:
             value = getattr(storage, method)(*arguments, **named)
         except NimprepError as error:
             value = error
-        pickle.dump(value, sink)
-        sink.flush()
+        try:
+            pickle.dump(value, sink)
+            sink.flush()
+        except BrokenPipeError:
+            os._exit(0)  # who asked is gone; a normal end would try to write the rest

@@ -40,7 +40,7 @@ def decode_table(
     ValueError
         It is laid out in another way than the format says, or damaged.
     """
-    shape = _checked_shape(document, spec, rest)
+    shape = check_table(document, spec, rest)
     if len(chunk) < 4 or google_crc32c.value(chunk[:-4]) != int.from_bytes(chunk[-4:], "little"):
         raise ValueError("a wrong checksum")
     if spec.dtype == "string":
@@ -50,9 +50,16 @@ def decode_table(
     return np.frombuffer(data, dtype).astype(spec.dtype).reshape(shape)
 
 
-def _checked_shape(
+def check_table(
     document: dict[str, Any], spec: ArraySpec, rest: tuple[int, ...]
 ) -> tuple[int, ...]:
+    """Return a per-frame array's shape.
+
+    Raises
+    ------
+    ValueError
+        Its metadata is not what the format says.
+    """
     first = "vlen-utf8" if spec.dtype == "string" else "bytes"
     try:
         shape, codecs = document["shape"], document["codecs"]
@@ -71,12 +78,12 @@ def _checked_shape(
             ("transformers", [], document.get("storage_transformers", [])),
         ]
     except (KeyError, TypeError, IndexError, AttributeError) as error:
-        raise ValueError(f"metadata that is malformed ({error!r})") from error
+        raise ValueError(f"metadata that is malformed ({error!r:.200})") from error
     for what, wanted, found in expected:
         if wanted != found:
-            raise ValueError(f"other metadata than {what} {wanted}: {found}")
+            raise ValueError(f"other metadata than {what} {wanted}: {found!r:.200}")
     if type(shape[0]) is not int or not 0 < shape[0] <= MAX_FRAMES:
-        raise ValueError(f"{shape[0]} frames; a store holds 1 to {MAX_FRAMES}")
+        raise ValueError(f"{shape[0]!r:.200} frames; a store holds 1 to {MAX_FRAMES}")
     return tuple(shape)
 
 

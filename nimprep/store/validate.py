@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -13,20 +15,29 @@ import numpy as np
 from nimprep.camera import Camera
 from nimprep.derive.modalities import recipe_from
 from nimprep.errors import NimprepError, StoreError
-from nimprep.schema import schema_problems
+from nimprep.schema import MAX_BYTES, schema_problems
 from nimprep.splits import SPLIT_CODES
-from nimprep.store.images import ImageArray
+from nimprep.store.images import ImageArray, layout_problems
 from nimprep.store.location import Place, storage_from
+from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, consolidated, read_attributes, read_document
 from nimprep.store.reader import Store
-from nimprep.store.spec import TABLES, image_specs
+from nimprep.store.spec import TABLE_SHAPES, TABLES, ArraySpec, image_specs
 from nimprep.store.storage import Storage
+from nimprep.store.tables import check_table
+
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 _AT_ONCE = 8
 """Shards whose indices are asked for at once: each takes its time over a network."""
 
+_BATCH = 256
+"""Shards after which to see whether enough is known to be wrong."""
+
 MAX_PROBLEMS = 100
 """A report stops after as many problems; a damaged store would otherwise list every pixel."""
+
+_LONGEST = 1000
 
 
 @dataclass
@@ -58,9 +69,15 @@ class Report:
         return not self.problems
 
     def add(self, problem: str) -> None:
-        """Note a problem."""
-        if len(self.problems) < MAX_PROBLEMS:
-            self.problems.append(problem)
+        """Note a problem, in one line."""
+        if not self.full:
+            line = " ".join(problem.split())
+            self.problems.append(line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "...")
+
+    @property
+    def full(self) -> bool:
+        """Whether no more problems are noted, so that none need be looked for."""
+        return len(self.problems) >= MAX_PROBLEMS
 
     def count(self, what: str, number: int = 1) -> None:
         """Note that something was checked."""
@@ -127,7 +144,10 @@ def validate_store(
         check_arrays(store, report)
     except Exception as error:  # zarr's codecs raise whatever their libraries do
         report.add(f"arrays: expected them readable, found {_first_line(error)}")
-    check_consolidated(store, report)
+    try:
+        check_consolidated(store, report)
+    except StoreError as error:
+        report.add(str(error))
     if deep and report.valid:
         from nimprep.store.validate_deep import check_pixels
 
@@ -147,8 +167,11 @@ def check_consolidated(store: Store, report: Report) -> None:
         report.add(f"{ROOT}: expected node_type 'group', found {root.get('node_type')!r}")
     expected = {*store.modalities, *TABLES}
     # Where folders cannot be listed, what the copies name is asked for.
-    names = sorted(expected | copies.keys() | set(store.storage.folders()))
-    found = store.storage.read_many([f"{name}/{ROOT}" for name in names])
+    plain = {name for name in copies if _PLAIN_NAME.fullmatch(name)}
+    names = sorted(expected | plain | set(store.storage.folders()))
+    if plain != copies.keys():
+        report.add(f"{ROOT}: expected metadata of arrays, found a name that can be none's")
+    found = store.storage.read_many([f"{name}/{ROOT}" for name in names], MAX_BYTES)
     there = {name for name in names if found[f"{name}/{ROOT}"] is not None}
     if there != expected:
         report.add(f"arrays: expected {sorted(expected)}, found {sorted(there)}")
@@ -173,7 +196,14 @@ def check_tables(store: Store, report: Report) -> None:
             if seen.setdefault(group, split) != split:
                 report.add(f"group: expected one split per group, found {group!r} in two")
                 break
+    for name, column in store.attributes.get("frame_metadata", {}).items():
+        if len(column["of_frame"]) != len(store) or max(column["of_frame"]) >= len(
+            column["values"]
+        ):
+            report.add(f"attributes: expected one of {name!r}'s values per frame, found others")
     for number in range(len(store)):
+        if report.full:
+            break
         _check_camera(store, number, report)
     report.count("tables", len(TABLES))
 
@@ -194,19 +224,19 @@ def _check_camera(store: Store, number: int, report: Report) -> None:
         report.add(f"{name}: expected a positive baseline or NaN, found {baseline}")
     road = store.tables.cam_to_road[number]
     rotation = road[:, :3]
-    if not np.isnan(road).all() and not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+    if np.isnan(road).all():
+        return
+    sane = np.isfinite(road).all() and np.abs(rotation).max() < 2
+    if not sane or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
         report.add(f"{name}: expected a rotation in cam_to_road, found {rotation.tolist()}")
 
 
 def check_arrays(store: Store, report: Report) -> None:
     """Check every array's dimensions, codecs and attributes, and every shard's index."""
-    import zarr
-
     dtype = store.attributes["modalities"].get("normal", {}).get("dtype", "int8")
     specs = image_specs(store.classes, dtype) | TABLES
     for name in [*store.modalities, *TABLES]:
-        array = zarr.open_array(store.storage.zarr(), path=name, mode="r", zarr_format=3)
-        found = dict(array.attrs)
+        found = _attributes(store.storage, name, specs[name])
         for key, value in specs[name].attributes.items():
             if found.get(key) != value:
                 report.add(
@@ -217,10 +247,31 @@ def check_arrays(store: Store, report: Report) -> None:
         report.add(f"arrays: expected images of one size, found {sorted(shapes)}")
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         for name, images in store.arrays.items():
-            for problem in pool.map(partial(_index_problem, images), images.shards):
-                if problem:
-                    report.add(f"{name}: {problem}")
-                report.count("shards")
+            for start in range(0, len(images.shards), _BATCH):
+                some = images.shards[start : start + _BATCH]
+                for problem in pool.map(partial(_index_problem, images), some):
+                    if problem:
+                        report.add(f"{name}: {problem}")
+                    report.count("shards")
+                if report.full:
+                    return
+
+
+def _attributes(storage: Storage, name: str, spec: ArraySpec) -> dict[str, Any]:
+    """Return the attributes in an array's own document, after zarr-python has taken it.
+
+    zarr-python gets nothing else of the store, and that only where it is laid out as it should be:
+    it looks up and runs whatever codecs a document names.
+    """
+    import zarr
+
+    document = read_document(storage, f"{name}/{ROOT}")
+    if name in TABLES:
+        check_table(document, spec, TABLE_SHAPES.get(name, ()))
+    elif problems := layout_problems(document, spec):
+        raise StoreError(f"{name}: {problems[0]}")
+    files = MemoryFiles({f"{name}/{ROOT}": json.dumps(document).encode()})
+    return dict(zarr.open_array(files.zarr, path=name, mode="r", zarr_format=3).attrs)
 
 
 def _index_problem(images: ImageArray, shard: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from nimprep.derive.modalities import DERIVED, derive, fill_frame, recipe_from
 from nimprep.derive.threads import available_cores
 from nimprep.errors import NimprepError
-from nimprep.frame import IGNORE_LABEL, ON_REQUEST, PLANES, Frame
+from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, ON_REQUEST, PLANES, Frame
 from nimprep.store.frames import depth_from_millimetres, normals_to_integers
 from nimprep.store.reader import Store
 from nimprep.store.spec import NORMAL_SCALES
@@ -20,6 +21,9 @@ from nimprep.store.statistics import channel_sums
 
 if TYPE_CHECKING:
     from nimprep.store.validate import Report
+
+_BATCH = 256
+"""Frames after which to see whether enough is known to be wrong."""
 
 SAMPLE = 16
 """Derived modalities are made again on at most as many frames, spread over the store."""
@@ -39,10 +43,16 @@ def check_pixels(
         done()
         return found
 
-    with ThreadPoolExecutor(available_cores()) as pool:
-        for number, problems in enumerate(pool.map(check, range(len(store)))):
-            for problem in problems:
-                report.add(f"frame {number} ({store.ids[number]!r}): {problem}")
+    pixels = max(math.prod(array.shape[1:3]) for array in store.arrays.values())
+    # The largest frames there can be take gigabytes each: no more of them than one at a time.
+    with ThreadPoolExecutor(min(available_cores(), max(1, MAX_PIXELS // pixels))) as pool:
+        for start in range(0, len(store), _BATCH):
+            numbers = range(len(store))[start : start + _BATCH]
+            for number, problems in zip(numbers, pool.map(check, numbers), strict=True):
+                for problem in problems:
+                    report.add(f"frame {number} ({store.ids[number]!r}): {problem}")
+            if report.full:
+                return
     report.count("chunks", len(store) * len(store.modalities))
     if set(DERIVED) & set(store.modalities) and "depth" in store.modalities:
         report.count("frames recomputed", len(range(0, len(store), step)))
@@ -89,7 +99,8 @@ def _label_problems(store: Store, label: npt.NDArray[np.uint8]) -> list[str]:
 
 def _hha_problems(store: Store, number: int, images: dict[str, npt.NDArray[Any]]) -> list[str]:
     gravity = store.tables.gravity[number]
-    if not np.isclose(np.linalg.norm(gravity), 1):
+    # Squares of the largest numbers there are would be infinite.
+    if not (np.abs(gravity) < 2).all() or not np.isclose(np.linalg.norm(gravity), 1):
         return [f"gravity: expected a unit vector beside HHA, found {gravity.tolist()}"]
     some = images["hha"].any(axis=2)
     # HHA of filled depth is there in its holes too.

@@ -15,6 +15,7 @@ from torch.utils.data import Dataset
 from nimprep.errors import ArrayError, StoreError
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store, open_store
+from nimprep.store.storage import Storage
 from nimprep.torch.batches import allocate, fill
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
@@ -33,8 +34,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
 
     Parameters
     ----------
-    path : path
-        What `nimprep convert` wrote.
+    path : path, URL or storage
+        What `nimprep convert` wrote; see `nimprep.open_store`.
     split : str, optional
         "train", "val" or "test"; None = all frames.
     setup : str, optional
@@ -88,7 +89,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
 
     def __init__(
         self,
-        path: Path | str,
+        path: Path | str | Storage,
         split: str | None = "train",
         setup: str | None = None,
         fusion: bool = False,

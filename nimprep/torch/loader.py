@@ -14,9 +14,13 @@ from torch import Tensor
 
 from nimprep.derive.threads import available_cores
 from nimprep.errors import ArrayError
+from nimprep.store.storage import LocalStorage
 from nimprep.torch.batches import allocate, fill
 from nimprep.torch.collation import Batch, collate
 from nimprep.torch.dataset import StoreDataset
+
+WAITING = 16
+"""Threads that read from an object store: a request takes longer than what is done with it."""
 
 
 class _Pending:
@@ -40,6 +44,11 @@ def _pinned(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_pinned(part) for part in value)
     return value.pin_memory() if isinstance(value, Tensor) else value
+
+
+def _default_threads(dataset: StoreDataset) -> int:
+    local = isinstance(dataset.store.storage, LocalStorage)
+    return available_cores() if local else max(available_cores(), WAITING)
 
 
 def _as(dataset: StoreDataset, dtype: Literal["float32", "stored"]) -> StoreDataset:
@@ -69,7 +78,7 @@ class StoreLoader:
     batch_size : int
     shuffle : bool
     num_threads : int, optional
-        None = the cores this process may use.
+        None = the cores this process may use; from a URL at least 16, which mostly wait.
     prefetch : int
         Batches in the works ahead of the one handed out.
     drop_last : bool
@@ -111,7 +120,7 @@ class StoreLoader:
         reuse_buffers: bool = False,
         dtype: Literal["float32", "stored"] | None = None,
     ) -> None:
-        threads = available_cores() if num_threads is None else num_threads
+        threads = _default_threads(dataset) if num_threads is None else num_threads
         for name, number in (
             ("batch_size", batch_size),
             ("num_threads", threads),

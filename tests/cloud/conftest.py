@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 import subprocess
 import sys
+import threading
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import nimprep
 from nimprep.store import objects
-from tests.cloud.server import BUCKET, VARIABLES, Proxy
-from tests.fakes import write_gmrp
+from tests.cloud.server import BUCKET, VARIABLES, FolderHandler, Proxy, Server
+from tests.fakes import contents, write_gmrp
 
 SERVE = """
 import json, logging, sys
@@ -79,8 +83,26 @@ def local(raw: Path) -> Path:
 
 
 @pytest.fixture
-def made(url: str, raw: Path, proxy: Proxy) -> str:
+def made(url: str, local: Path, proxy: Proxy) -> str:
     """Return the URL of the dataset's store; requests are counted from here on."""
-    nimprep.convert(raw, url, shard_length=2, camera=CAMERA)
+    storage = objects.ObjectStorage(url)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda item: storage.write(item[0], [item[1]]), contents(local).items()))
     proxy.forget()
     return url
+
+
+@pytest.fixture
+def web(local: Path) -> Iterator[str]:
+    """Return the address of a web server that has the store, and one without its intrinsics."""
+    part = local.parent / "part.zarr"
+    if not part.exists():
+        shutil.copytree(local, part)
+        (part / "intrinsics" / "c" / "0" / "0" / "0").unlink()
+    server = Server(("127.0.0.1", 0), partial(FolderHandler, local.parent))
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_address[1]}"
+    server.shutdown()
+    server.server_close()
+    thread.join()

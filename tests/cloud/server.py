@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import re
 import socket
 import struct
 import threading
 import time
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
 
 BUCKET = "bucket"
 
@@ -17,6 +20,7 @@ VARIABLES = {
     "AWS_ACCESS_KEY_ID": "key",
     "AWS_SECRET_ACCESS_KEY": "secret",
     "AWS_REGION": "us-east-1",
+    "NO_PROXY": "127.0.0.1",
 }
 
 
@@ -41,6 +45,13 @@ of the answer; "stall" never answers.
 """
 
 
+class Server(ThreadingHTTPServer):
+    """Answer each connection in a thread; many may come at once."""
+
+    request_queue_size = 128
+    daemon_threads = True
+
+
 class Proxy:
     """Pass requests on to a server, count them, and spoil those that `fault` chooses."""
 
@@ -48,8 +59,7 @@ class Proxy:
         self.requests: list[Request] = []
         self.spoilt: list[Request] = []
         self.fault: Fault = lambda request: None
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(self, port))
-        self._server.daemon_threads = True
+        self._server = Server(("127.0.0.1", 0), _handler(self, port))
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,))
         self._thread.start()
@@ -137,3 +147,37 @@ def _handler(proxy: Proxy, port: int) -> type[BaseHTTPRequestHandler]:
             pass
 
     return Handler
+
+
+class FolderHandler(BaseHTTPRequestHandler):
+    """Serve a folder's files, whole and in parts, as web servers do."""
+
+    protocol_version = "HTTP/1.1"
+
+    def __init__(self, folder: Path, *arguments: Any) -> None:
+        self._folder = folder
+        super().__init__(*arguments)
+
+    def do_GET(self) -> None:
+        """Send a file, or the part of it that is asked for."""
+        path = self._folder / self.path.lstrip("/")
+        data = path.read_bytes() if path.is_file() else b""
+        span = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
+        status = (206 if span else 200) if path.is_file() else 404
+        self.send_response_only(status)
+        self.send_header("Last-Modified", self.date_time_string())
+        if span:
+            size = len(data)
+            begin = int(span[1]) if span[1] else max(0, size - int(span[2]))
+            end = min(int(span[2]) + 1, size) if span[1] and span[2] else size
+            self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{size}")
+            data = data[begin:end]
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        if self.command == "GET":
+            self.wfile.write(data)
+
+    do_HEAD = do_GET  # noqa: N815
+
+    def log_message(self, *arguments: object) -> None:
+        """Say nothing."""

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,13 @@ from nimprep.splits import count_splits, held_out_count
 from nimprep.store.metadata import read_attributes
 from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
+from nimprep.store.writer import StoreWriter
 from tests.fakes import contents, write_gmrp, write_nyu_like, write_png
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
+    pytest.mark.usefixtures("unsynced"),
+]
 
 FOLDERS = ("rgb", "depth_u16", "label")
 LATER = ("split/", "zarr.json")
@@ -47,8 +52,15 @@ def images_and_tables(store: Path) -> dict[str, bytes]:
     return {n: data for n, data in contents(store).items() if not n.startswith(LATER)}
 
 
-@pytest.mark.parametrize(("old", "new"), [(5, 11), (4, 11), (1, 2), (3, 4), (6, 8)])
-@pytest.mark.parametrize("options", [{}, {"crop": (2, 3, 4, 0), "codec": "small"}])
+@pytest.mark.parametrize(
+    ("old", "new", "options"),
+    [
+        (5, 11, {}),
+        (6, 8, {}),
+        (1, 2, {}),
+        (4, 11, {"crop": (2, 3, 4, 0), "codec": "small"}),
+    ],
+)
 def test_two_parts_make_the_store_that_all_at_once_make(
     tmp_path: Path, old: int, new: int, options: dict[str, object]
 ) -> None:
@@ -102,6 +114,24 @@ def test_complete_shards_stay_the_files_they_are(store: Path, more: Path) -> Non
         now = path.stat()
         assert (now.st_ino, now.st_mtime_ns) == (was.st_ino, was.st_mtime_ns)
         assert now.st_size == was.st_size
+
+
+def test_only_the_shard_where_old_and_new_meet_is_put_together(
+    store: Path, more: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    write = StoreWriter.write_shard
+
+    def noted(self: StoreWriter, modality: str, shard: int, chunks: Sequence[bytes]) -> None:
+        if "joined" in str(self.storage):
+            written.append(self.shard_key(modality, shard))
+        write(self, modality, shard, chunks)
+
+    monkeypatch.setattr(StoreWriter, "write_shard", noted)
+    done = nimprep.append_frames(more, store)
+    assert [key.split("/")[:3] for key in written] == [
+        [modality, "c", "2"] for modality in done.store.modalities
+    ]
 
 
 def test_where_files_cannot_be_linked_they_are_copied(
@@ -209,8 +239,10 @@ def test_a_growing_folder_gives_its_new_frames_alone(tmp_path: Path) -> None:
     assert [f["id"] for f in done.store.attributes["skipped"]] == ["000006"]
     assert done.store.ids == ("000000", "000001", "000002", "000004", *done.ids)
     assert validate_store(store.path, deep=True).problems == []
-    with pytest.raises(DecodeError, match="at least one good frame, found 1 bad"):
-        nimprep.append_frames(source, store.path, skip_existing=True, on_error="skip")
+    before = contents(Path(store.path))
+    again = nimprep.append_frames(source, store.path, skip_existing=True, on_error="skip")
+    assert (again.ids, [frame.id for frame in again.skipped]) == ((), ["000006"])
+    assert contents(Path(store.path)) == before
     write_gmrp(tmp_path / "a", 8)
     done = nimprep.append_frames(source, store.path, skip_existing=True)
     assert done.ids == ("000006",)

@@ -1,6 +1,5 @@
 """Appends that are cut short, for real, at any moment: the store is whole, and they go on."""
 
-import multiprocessing
 import os
 import random
 import shutil
@@ -8,9 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
-from collections.abc import Callable
-from multiprocessing.context import ForkServerProcess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,67 +16,26 @@ import nimprep
 from nimprep.errors import DecodeError, StoreError
 from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
+from tests.conversion.mortal import Mortals
 from tests.conversion.test_append import damage, write_frames
 from tests.fakes import contents, write_gmrp
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
+    pytest.mark.usefixtures("unsynced"),
+]
 
 KILLS = int(os.environ.get("NIMPREP_KILLS", "6"))
 
-SERVER = multiprocessing.get_context("forkserver")
-"""Processes that can be killed, without the second that starting Python anew would take."""
-SERVER.set_forkserver_preload(["nimprep.conversion.append", "nimprep.conversion.run", "zarr"])
+SMALL = {"shard_length": 4, "modalities": ("depth",)}
 
 
-def append_quietly(source: Path, store: Path) -> None:
-    warnings.simplefilter("ignore")
-    nimprep.append_frames(source, store, workers=2, skip_existing=True, on_error="skip")
-
-
-def die_at(step: int, atomic: bool) -> None:
-    """Kill this process at the so-manieth change of names or removal once a store is published."""
-    import nimprep.store.writer as writer
-    from nimprep.conversion.workspace import LocalWorkspace
-
-    steps = iter(range(step, -1, -1))
-
-    def dying(function: Callable[..., object]) -> Callable[..., object]:
-        def run(*arguments: object, **named: object) -> object:
-            if next(steps) == 0:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return function(*arguments, **named)
-
-        return run
-
-    publish = LocalWorkspace.publish
-
-    def publish_and_die(self: LocalWorkspace, *arguments: object) -> None:
-        exchange = writer.exchange if atomic else lambda a, b: False
-        writer.exchange = dying(exchange) if atomic else exchange  # type: ignore[assignment]
-        for name in ("replace", "unlink"):
-            setattr(Path, name, dying(getattr(Path, name)))
-        writer.sync_folder = dying(writer.sync_folder)  # type: ignore[assignment]
-        shutil.rmtree = dying(shutil.rmtree)  # type: ignore[assignment]
-        publish(self, *arguments)  # type: ignore[arg-type]
-
-    LocalWorkspace.publish = publish_and_die  # type: ignore[method-assign, assignment]
-
-
-def append_and_die(source: Path, store: Path, step: int, atomic: bool) -> None:
-    die_at(step, atomic)
-    append_quietly(source, store)
-
-
-def convert_and_die(source: Path, store: Path, step: int, atomic: bool) -> None:
-    die_at(step, atomic)
-    warnings.simplefilter("ignore")
-    nimprep.convert(source, store, shard_length=2, seed=1, overwrite=True)
-
-
-def start(target: Callable[..., None], *arguments: object) -> ForkServerProcess:
-    process = SERVER.Process(target=target, args=arguments)
-    process.start()
-    return process
+@pytest.fixture(scope="module")
+def mortals() -> Iterator[Mortals]:
+    """Return what starts processes that can be killed."""
+    server = Mortals()
+    yield server
+    server.close()
 
 
 @pytest.fixture
@@ -197,13 +153,13 @@ def test_an_append_leaves_a_conversion_that_was_cut_short(
 
 @pytest.fixture(scope="module")
 def larger(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, bytes]]:
-    """Return a source of 43 frames, one of them bad, a store of 17, and both together's files."""
+    """Return a source of 22 frames, one of them bad, a store of 9, and both together's files."""
     folder = tmp_path_factory.mktemp("larger")
     size = (120, 160)
     with pytest.warns(UserWarning, match="nominal"):
-        nimprep.convert(write_gmrp(folder / "a", 17, size), folder / "old.zarr", shard_length=2)
-    source = write_frames(folder / "b", range(17, 60), size)
-    damage(source / "label" / "000031.png")
+        nimprep.convert(write_gmrp(folder / "a", 9, size), folder / "old.zarr", shard_length=4)
+    source = write_frames(folder / "b", range(9, 31), size)
+    damage(source / "label" / "000018.png")
     shutil.copytree(folder / "old.zarr", folder / "whole.zarr")
     with pytest.warns(UserWarning, match="nominal"):
         nimprep.append_frames(source, folder / "whole.zarr", on_error="skip")
@@ -212,136 +168,147 @@ def larger(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[s
 
 
 def test_killed_at_random_moments_the_store_is_whole_and_ends_with_the_same_bytes(
-    larger: tuple[Path, Path, dict[str, bytes]], tmp_path: Path
+    larger: tuple[Path, Path, dict[str, bytes]], mortals: Mortals, tmp_path: Path
 ) -> None:
     source, old, whole = larger
     before, rng, target = contents(old), random.Random(0), tmp_path / "s.zarr"
     shutil.copytree(old, target)
-    units = tmp_path / ".s.zarr.partial" / "append" / "journal" / "units"
+    began = time.monotonic()
+    assert mortals.run("append", source, target) == 0
+    lasts = time.monotonic() - began
     killed = halfway = runs = 0
     while killed < KILLS:
-        process = start(append_quietly, source, target)
-        runs += 1
-        known = len(list(units.glob("*.json")))
-        while len(list(units.glob("*.json"))) <= known and process.is_alive():
-            time.sleep(0.001)
-        # From the first shard to after the end: encoding, joining, finishing, changing names.
-        process.join(rng.uniform(0, 0.8))
-        if process.is_alive():
-            process.kill()
-            process.join()
-            killed += 1
-        else:
-            assert process.exitcode == 0
-        now = contents(target)
-        assert now in (before, whole)
-        halfway += now == before
-        if now == whole:
-            append_quietly(source, target)
-            assert contents(target) == whole
-            assert {p.name for p in tmp_path.iterdir()} == {"s.zarr"}
+        if contents(target) == whole:
             shutil.rmtree(target)
             shutil.copytree(old, target)
-    append_quietly(source, target)
+        child = mortals.start("append", source, target)
+        runs += 1
+        # From the start to after the end: encoding, joining, finishing, changing names.
+        time.sleep(rng.uniform(0, lasts))
+        os.kill(child, signal.SIGKILL)
+        status = mortals.wait()
+        assert status in (0, -signal.SIGKILL)
+        killed += status != 0
+        # Other work on the machine comes and goes; most moments are to be within the run.
+        lasts *= 1.1 if status else 0.8
+        now = contents(target)
+        assert now in (before, whole)
+        halfway += status != 0 and now == before
+        if now == whole:
+            assert mortals.run("append", source, target) == 0
+            assert contents(target) == whole
+            assert {p.name for p in tmp_path.iterdir()} == {"s.zarr"}
+    assert mortals.run("append", source, target) == 0
     assert contents(target) == whole
     print(f"killed {killed} times, {halfway} of them halfway, in {runs} runs; all bytes the same")
 
 
+@pytest.fixture
+def tiny(tmp_path: Path) -> tuple[Path, Path]:
+    """Return a source of 2 frames and a store of 3, of few files."""
+    source = write_gmrp(tmp_path / "a", 3)
+    nimprep.convert(source, tmp_path / "s.zarr", **SMALL)
+    shutil.copytree(tmp_path / "s.zarr", tmp_path / "old.zarr")
+    return write_frames(tmp_path / "b", range(3, 5)), tmp_path / "s.zarr"
+
+
 @pytest.mark.parametrize("atomic", [True, False], ids=["at once", "one by one"])
 def test_killed_at_each_step_of_changing_names_no_store_is_lost(
-    store: Path, more: Path, appended: dict[str, bytes], tmp_path: Path, atomic: bool
+    tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path, atomic: bool
 ) -> None:
-    before = contents(store)
-    shutil.copytree(store, tmp_path / "old.zarr")
+    source, store = tiny
+    before, there = contents(store), {p.name for p in tmp_path.iterdir()}
+    nimprep.append_frames(source, store)
+    after = contents(store)
     found = []
     for step in range(20):
-        process = start(append_and_die, more, store, step, atomic)
-        process.join()
-        if process.exitcode == 0:
-            break
-        assert process.exitcode == -signal.SIGKILL
-        now = contents(store) if store.exists() else None
-        assert now in (before, appended, None)
-        found.append("none" if now is None else "old" if now == before else "new")
-        nimprep.append_frames(more, store, skip_existing=now == appended)
-        assert contents(store) == appended
-        assert {p.name for p in tmp_path.iterdir()} == {"a", "b", "old.zarr", "s.zarr"}
         shutil.rmtree(store)
         shutil.copytree(tmp_path / "old.zarr", store)
+        status = mortals.run("append", source, store, step, atomic)
+        if status == 0:
+            break
+        assert status == -signal.SIGKILL
+        now = contents(store) if store.exists() else None
+        assert now in (before, after, None)
+        found.append("none" if now is None else "old" if now == before else "new")
+        nimprep.append_frames(source, store, skip_existing=now == after)
+        assert contents(store) == after
+        assert {p.name for p in tmp_path.iterdir()} == there
     # Where names change at once there is no moment without a store.
-    assert list(dict.fromkeys(found)) == ["old", "new"] if atomic else ["old", "none", "new"]
-    assert contents(store) == appended
+    assert list(dict.fromkeys(found)) == (["old", "new"] if atomic else ["old", "none", "new"])
+    assert contents(store) == after
+    print(f"killed at each of {len(found)} steps")
 
 
 @pytest.mark.parametrize("atomic", [True, False], ids=["at once", "one by one"])
 def test_killed_while_it_replaces_a_store_a_conversion_loses_neither(
-    store: Path, tmp_path: Path, atomic: bool
+    tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path, atomic: bool
 ) -> None:
-    before = contents(store)
-    shutil.copytree(store, tmp_path / "old.zarr")
-    source = write_gmrp(tmp_path / "again", 7)
-    nimprep.convert(source, tmp_path / "new.zarr", shard_length=2, seed=1)
-    after = contents(tmp_path / "new.zarr")
-    for step in range(20):
-        process = start(convert_and_die, source, store, step, atomic)
-        process.join()
-        if process.exitcode == 0:
-            break
+    _, store = tiny
+    before, source = contents(store), write_gmrp(tmp_path / "again", 5)
+    options = {**SMALL, "seed": 1}
+    nimprep.convert(source, store, overwrite=True, **options)
+    after = contents(store)
+    # After the note: before the names, between or after them, and before what was replaced goes.
+    for step in range(1, 5):
+        shutil.rmtree(store)
+        shutil.copytree(tmp_path / "old.zarr", store)
+        assert mortals.run("convert", source, store, step, atomic) == -signal.SIGKILL
         if not store.exists():
             # Nobody may take the place for free: what was there comes back first.
             with pytest.raises(StoreError, match="--overwrite"):
-                nimprep.convert(source, store, shard_length=2, seed=1)
+                nimprep.convert(source, store, **options)
             assert contents(store) == before
         assert contents(store) in (before, after)
-        nimprep.convert(source, store, shard_length=2, seed=1, overwrite=True)
+        nimprep.convert(source, store, overwrite=True, **options)
         assert contents(store) == after
-        shutil.rmtree(store)
-        shutil.copytree(tmp_path / "old.zarr", store)
-    assert contents(store) == after
 
 
 def test_what_a_kill_at_the_last_step_left_is_done_and_said_so(
-    store: Path, more: Path, appended: dict[str, bytes], tmp_path: Path
+    tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path
 ) -> None:
-    # The third step follows the change of names: note, names, the folder's own.
-    process = start(append_and_die, more, store, 2, True)
-    process.join()
-    assert contents(store) == appended
+    source, store = tiny
+    # After the note, the change of names, and the folder they are in.
+    assert mortals.run("append", source, store, 3) == -signal.SIGKILL
+    after = contents(store)
     assert (tmp_path / ".s.zarr.partial" / "append").is_dir()
-    done = nimprep.append_frames(more, store)
-    assert (len(done.ids), done.existing, len(done.store)) == (6, 0, 11)
-    assert contents(store) == appended
+    done = nimprep.append_frames(source, store)
+    assert (len(done.ids), done.existing, len(done.store)) == (2, 0, 5)
+    assert contents(store) == after
     assert not (tmp_path / ".s.zarr.partial").exists()
     with pytest.raises(StoreError, match="not in it yet"):
-        nimprep.append_frames(more, store)
+        nimprep.append_frames(source, store)
 
 
 def test_a_kill_at_the_last_step_excuses_no_other_source(
-    store: Path, more: Path, appended: dict[str, bytes], tmp_path: Path
+    tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path
 ) -> None:
-    process = start(append_and_die, more, store, 2, True)
-    process.join()
+    source, store = tiny
+    assert mortals.run("append", source, store, 3) == -signal.SIGKILL
+    after = contents(store)
+    assert len(nimprep.open_store(store)) == 5
     with pytest.raises(StoreError, match="found '000000'"):
         nimprep.append_frames(tmp_path / "a", store)
-    assert contents(store) == appended
-    later = write_frames(tmp_path / "c", range(11, 13))
-    assert nimprep.append_frames(later, store).ids == ("000011", "000012")
+    assert contents(store) == after
+    later = write_frames(tmp_path / "c", range(5, 7))
+    assert nimprep.append_frames(later, store).ids == ("000005", "000006")
 
 
 def test_of_an_append_and_a_conversion_at_once_the_second_is_refused(
-    larger: tuple[Path, Path, dict[str, bytes]], tmp_path: Path
+    larger: tuple[Path, Path, dict[str, bytes]], mortals: Mortals, tmp_path: Path
 ) -> None:
     source, old, whole = larger
     shutil.copytree(old, tmp_path / "s.zarr")
-    first = start(append_quietly, source, tmp_path / "s.zarr")
-    lock = tmp_path / ".s.zarr.partial" / "append" / "journal" / "units"
-    while not lock.exists() and first.is_alive():
+    mortals.start("append", source, tmp_path / "s.zarr")
+    units = tmp_path / ".s.zarr.partial" / "append" / "journal" / "units"
+    deadline = time.monotonic() + 60
+    while not units.exists() and time.monotonic() < deadline:
         time.sleep(0.001)
     with pytest.raises(StoreError, match="found one at work"):
         nimprep.append_frames(source, tmp_path / "s.zarr")
     with pytest.raises(StoreError, match="found one at work"):
         nimprep.convert(source, tmp_path / "s.zarr", overwrite=True)
-    first.join()
+    assert mortals.wait() == 0
     assert contents(tmp_path / "s.zarr") == whole
 
 
@@ -361,5 +328,5 @@ def test_ctrl_c_says_how_to_go_on_and_exits_130(
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert "interrupted; " in errors
-    assert "of 43 frames are kept: the same command goes on from them" in errors
+    assert "of 22 frames are kept: the same command goes on from them" in errors
     assert contents(tmp_path / "s.zarr") == contents(old)

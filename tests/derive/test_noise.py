@@ -68,6 +68,16 @@ def test_clutter_is_no_noise():
     assert estimate_noise(depth) == NO_NOISE
 
 
+def test_rough_ground_whose_steps_grow_with_the_lag_is_no_noise():
+    frequency = np.hypot(np.fft.fftfreq(256)[:, None], np.fft.fftfreq(256))
+    frequency[0, 0] = np.inf
+    # A fractal surface of Hurst exponent 0.7: second differences grow 1.6 times an octave.
+    spectrum = np.fft.fft2(np.random.default_rng(0).normal(size=(256, 256))) / frequency**1.7
+    ground = np.real(np.fft.ifft2(spectrum))
+    depth = (5 + 0.1 * ground / ground.std()).astype(np.float32)
+    assert estimate_noise(depth) == NO_NOISE
+
+
 @pytest.mark.parametrize("depth", [np.zeros((50, 60)), np.ones((3, 4)), np.ones((1, 1))])
 def test_images_with_nothing_to_measure_have_no_noise(depth):
     assert estimate_noise(depth.astype(np.float32)) == NO_NOISE

@@ -38,7 +38,7 @@ def numbers(store: Store, *ids: str) -> tuple[int, ...]:
 def test_a_sound_store_has_no_findings(folder: Folder) -> None:
     store, findings = found(folder)
     assert findings == {}
-    assert len(checks(store)) == 7
+    assert len(checks(store)) == 8
 
 
 def test_frames_with_few_valid_pixels_are_found(folder: Folder) -> None:
@@ -143,6 +143,17 @@ def test_flat_pictures_are_found_and_are_no_duplicates(folder: Folder) -> None:
     store, findings = found(folder)
     assert set(findings) == {"flat"}
     assert findings["flat"].frames == numbers(store, *frames)
+
+
+def test_frames_that_the_conversion_left_out_are_named(folder: Folder) -> None:
+    store = nimprep.open_store(folder.store())
+    skipped = [{"id": f"yard/{i}", "reason": "truncated"} for i in range(7)]
+    store.attributes["skipped"] = skipped
+    (finding,) = find(store, collect(store))
+    assert finding.frames == ()
+    assert "7 frames" in finding.text
+    assert "yard/0 (truncated); yard/1" in finding.text
+    assert finding.text.endswith("and 2 more.")
 
 
 def test_labels_of_no_class_are_found(folder: Folder) -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import float32, float64, int64, njit, void
 
-SAMPLES = 32
+SAMPLES = 24
 """Rows and columns of the grid of samples."""
 
 
 @njit(
-    void(float32[:, ::1], int64[::1], int64[::1], float64[::1], float32[:, ::1], float32[:, ::1]),
+    void(float32[:, ::1], int64[::1], int64[::1], float64[::1], float64[:, ::1], float64[:, ::1]),
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -21,8 +21,8 @@ def second_differences(
     lags: npt.NDArray[np.int64],
     counts: npt.NDArray[np.int64],
     medians: npt.NDArray[np.float64],
-    bends: npt.NDArray[np.float32],
-    inverses: npt.NDArray[np.float32],
+    bends: npt.NDArray[np.float64],
+    inverses: npt.NDArray[np.float64],
 ) -> None:
     """Write |r(-lag) - 2 r + r(lag)| along u and along v, and r, where all three have depth.
 
@@ -30,7 +30,7 @@ def second_differences(
     they and r themselves.
     """
     height, width = depth_m.shape
-    ratio = np.empty(2 * SAMPLES * SAMPLES, np.float32)
+    ratio = np.empty(2 * SAMPLES * SAMPLES)
     for k in range(lags.size):
         lag, found = lags[k], 0
         for j in range(SAMPLES):

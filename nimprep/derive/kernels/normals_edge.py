@@ -112,10 +112,11 @@ def _normal_row(
     """Write one row of normals, (3 W,)."""
     sum_u, sum_v, weights = sums[0], sums[1], sums[2]
     for u in range(r.size):
-        per_weight = ONE / weights[u]
+        # The vector's length is free: it need only stay in float32.
+        per_weight = weight_of(weights[u])
         g_u, g_v = sum_u[u] * per_weight, sum_v[u] * per_weight
         n_x, n_y = fx * g_u, fy * g_v
-        n_z = r[u] - (g_u * x_row[u] + g_v * y)
+        n_z = r[u] * (weights[u] * per_weight) - (g_u * x_row[u] + g_v * y)
         across2 = n_x * n_x + n_y * n_y
         scale = -ONE / np.sqrt(across2 + n_z * n_z + TINY)
         known = r[u] > ZERO

@@ -61,7 +61,8 @@
   // ---- cards
   const list = byId("frames");
   // Few modalities leave room for several frames in a row.
-  list.style.setProperty("--card", `${13 * looks.length}rem`);
+  list.style.setProperty("--columns", looks.length > 6 ? Math.ceil(looks.length / 2) : looks.length);
+  list.style.setProperty("--card", `${13 * Math.min(looks.length, 6)}rem`);
   const more = byId("more");
   let current = []; // Frames of the filter that have pictures, in order.
   let drawn = 0;

@@ -1,0 +1,397 @@
+"""Converting to a URL: the bytes, their order, and what a kill or a fault leaves."""
+
+import itertools
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import nimprep
+from nimprep.conversion import object_lock
+from nimprep.conversion.object_lock import ObjectLock
+from nimprep.errors import DecodeError, LayoutError, SplitError, StoreError
+from nimprep.store import objects
+from nimprep.store.objects import ObjectStorage
+from nimprep.store.validate import validate_store
+from tests.cloud.conftest import CAMERA
+from tests.cloud.server import BUCKET, Proxy, Request
+from tests.cloud.test_reading import run
+from tests.fakes import contents, write_gmrp
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
+
+KILLS = int(os.environ.get("NIMPREP_KILLS", "3"))
+OPTIONS = {"shard_length": 2, "camera": CAMERA}
+COMMAND = [sys.executable, "-m", "nimprep", "convert", "--shard-length", "2", "--workers", "1"]
+INTRINSICS = ["--intrinsics", ",".join(map(str, CAMERA))]
+
+
+@pytest.fixture(autouse=True)
+def quick_locks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let what the dead left be taken over after half a second."""
+    monkeypatch.setattr(object_lock, "BEAT_S", 0.1)
+    monkeypatch.setattr(object_lock, "STALE_S", 0.5)
+
+
+def below(url: str) -> dict[str, bytes]:
+    """Return every object of a store."""
+    storage = ObjectStorage(url)
+    return {
+        key: data for key, data in storage.read_many(storage.keys()).items() if data is not None
+    }
+
+
+def beside(url: str) -> set[str]:
+    """Return the names at the store's place, its own among them."""
+    parent = ObjectStorage(url.rpartition("/")[0])
+    return {key.partition("/")[0] for key in parent.keys()}  # noqa: SIM118 - no dict
+
+
+def test_the_bytes_are_those_of_a_folder_and_nothing_else_is_there(
+    url: str, raw: Path, local: Path, proxy: Proxy
+) -> None:
+    neighbour = ObjectStorage(f"{url}.old")
+    neighbour.write("k", [b"1"])
+    store = nimprep.convert(raw, url, **OPTIONS)
+    assert store.path == url
+    assert below(url) == contents(local)
+    assert beside(url) == {"out.zarr", "out.zarr.old"}
+    assert all(
+        f"{url}/"[5:].partition("/")[2] in f"{r.path}/" or ".out.zarr.partial/" in r.path
+        for r in proxy.seen("PUT")
+        if r.path and ".old" not in r.path
+    )
+
+
+def test_it_is_not_complete_until_all_is_there(url: str, raw: Path, proxy: Proxy) -> None:
+    nimprep.convert(raw, url, **OPTIONS)
+    puts = [r.path.split("/", 1)[1] for r in proxy.seen("PUT")]
+    ours = [path for path in puts if path.startswith("out.zarr/")]
+    assert ours[0] == ours[-1] == "out.zarr/zarr.json"
+    assert ours.count("out.zarr/zarr.json") == 2
+    assert puts.index(".out.zarr.partial/lock") < puts.index("out.zarr/zarr.json")
+
+
+def killed_at(
+    number: int, raw: Path, url: str, proxy: Proxy, *more: str
+) -> tuple[int, list[Request]]:
+    """Convert in a process that is killed when its n-th request comes; return its exit code."""
+    began = threading.Event()
+    process = subprocess.Popen(
+        [*COMMAND, *INTRINSICS, *more, str(raw), url],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    began.set()
+    count = itertools.count(1)
+
+    def fault(request: Request) -> str | None:
+        if next(count) == number:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        return None
+
+    proxy.forget()
+    proxy.fault = fault
+    _, errors = process.communicate(timeout=120)
+    proxy.fault = lambda request: None
+    assert process.returncode in (0, -signal.SIGKILL), errors
+    return process.returncode, proxy.requests
+
+
+def state(url: str) -> str:
+    """Return what there is to open."""
+    try:
+        return f"{len(nimprep.open_store(url))} frames"
+    except StoreError as error:
+        return next(words for words in ("cut short", "nothing") if words in str(error))
+
+
+@pytest.mark.filterwarnings("ignore:.*left its lock or is at work:UserWarning")
+def test_killed_at_any_request_it_goes_on_and_ends_with_the_same_bytes(
+    url: str, raw: Path, local: Path, proxy: Proxy
+) -> None:
+    nimprep.convert(raw, url, **OPTIONS)
+    total = len(proxy.requests) - 10  # the last ones open the store again
+    # An older store, of other frames and modalities, is in the place each time.
+    shutil.copytree(raw, raw.parent / "longer", dirs_exist_ok=True)
+    write_gmrp(raw.parent / "longer", frames=9)
+    halfway = 0
+    for turn in range(KILLS):
+        nimprep.convert(raw.parent / "longer", url, overwrite=True, shard_length=1)
+        number = 3 + (total - 4) * turn // max(1, KILLS - 1)
+        code, seen = killed_at(number, raw, url, proxy, "--overwrite")
+        assert code == -signal.SIGKILL
+        recorded = [r.path for r in seen if "/units/" in r.path and r.method == "PUT"][:-1]
+        found = state(url)
+        whole = found == "7 frames"
+        assert found in ("7 frames", "9 frames", "cut short", "nothing")
+        halfway += bool(recorded) and not whole
+        proxy.forget()
+        if whole:
+            with pytest.raises(StoreError, match="found a complete store"):
+                nimprep.convert(raw, url, **OPTIONS)
+        else:
+            # No --overwrite where the old store is gone already.
+            nimprep.convert(raw, url, overwrite=found == "9 frames", **OPTIONS)
+            done = [r.path for r in proxy.seen("PUT", "/rgb/c/")]
+            assert len(done) <= 4 - len(recorded)
+        assert below(url) == contents(local)
+        assert beside(url) == {"out.zarr"}
+    assert halfway > 0
+    print(f"killed {KILLS} times at requests 3 to {total - 1}, {halfway} with shards done")
+
+
+def test_a_store_that_came_meanwhile_is_not_taken_for_what_was_done(
+    url: str, raw: Path, local: Path, tmp_path: Path
+) -> None:
+    source = damaged(raw, tmp_path / "bad", "000004")
+    with pytest.raises(DecodeError, match="000004"):
+        nimprep.convert(source, url, workers=1, **OPTIONS)
+    other = write_gmrp(tmp_path / "other", frames=7)
+    shutil.copy(raw / "rgb" / "000005.png", other / "rgb" / "000000.png")
+    nimprep.convert(other, tmp_path / "other.zarr", **OPTIONS)
+    for key, data in contents(tmp_path / "other.zarr").items():
+        ObjectStorage(url).write(key, [data])
+    shutil.copy(raw / "label" / "000004.png", source / "label" / "000004.png")
+    nimprep.convert(source, url, overwrite=True, **OPTIONS)
+    assert below(url)["rgb/c/0/0/0/0"] == contents(local)["rgb/c/0/0/0/0"]
+    assert validate_store(url, deep=True).problems == []
+    assert beside(url) == {"out.zarr"}
+
+
+def test_a_complete_store_is_replaced_on_request_only(
+    url: str, raw: Path, local: Path, proxy: Proxy, port: int
+) -> None:
+    nimprep.convert(raw, url, shard_length=1, seed=3)
+    before = below(url)
+    with pytest.raises(StoreError, match="found a complete store; use --overwrite"):
+        nimprep.convert(raw, url, **OPTIONS)
+    assert below(url) == before
+    assert beside(url) == {"out.zarr"}
+    behind = ObjectStorage(url, endpoint=f"http://127.0.0.1:{port}")
+    changes: list[tuple[str, bool]] = []
+
+    def watch(request: Request) -> None:
+        """Note what the root says whenever another object is put or deleted."""
+        if request.method in ("PUT", "POST") and not request.path.endswith("out.zarr/zarr.json"):
+            root = behind.read("zarr.json")
+            if ".partial" not in request.path and root is not None:
+                complete = json.loads(root)["attributes"]["nimprep"]["complete"]
+                changes.append((repr(request), complete))
+
+    proxy.fault = watch
+    nimprep.convert(raw, url, overwrite=True, **OPTIONS)
+    proxy.fault = lambda request: None
+    # Not complete before the first change, nor until the last; then the journal and the lock go.
+    assert [what for what, complete in changes if complete] == ["POST delete"] * 2
+    assert [complete for _, complete in changes][:-2] == [False] * (len(changes) - 2)
+    assert below(url) == contents(local)
+
+
+def test_what_ends_before_anything_is_written_leaves_the_old_store(
+    url: str, raw: Path, tmp_path: Path
+) -> None:
+    nimprep.convert(raw, url, **OPTIONS)
+    before = below(url)
+    (tmp_path / "split.json").write_text('{"train": ["no such frame"]}')
+    with pytest.raises(SplitError):
+        nimprep.convert(raw, url, overwrite=True, split_file=tmp_path / "split.json")
+    with pytest.raises(LayoutError):
+        nimprep.convert(
+            raw,
+            url,
+            overwrite=True,
+            modalities=("rgb", "disparity"),
+            labels=False,
+            reader="kitti-road",
+        )
+    assert below(url) == before
+    assert beside(url) == {"out.zarr"}
+
+
+def test_other_objects_are_never_replaced(url: str, raw: Path) -> None:
+    storage = ObjectStorage(url)
+    storage.write("holiday.jpg", [b"1"])
+    with pytest.raises(StoreError, match="found keys that are no nimprep store; choose another"):
+        nimprep.convert(raw, url, overwrite=True, **OPTIONS)
+    assert below(url) == {"holiday.jpg": b"1"}
+    assert beside(url) == {"out.zarr"}
+
+
+def damaged(raw: Path, folder: Path, *numbers: str) -> Path:
+    shutil.copytree(raw, folder)
+    for number in numbers:
+        path = folder / "label" / f"{number}.png"
+        path.write_bytes(path.read_bytes()[:-30])
+    return folder
+
+
+def test_a_bad_frame_ends_it_and_other_options_are_refused_when_it_goes_on(
+    url: str, raw: Path, tmp_path: Path, proxy: Proxy
+) -> None:
+    source = damaged(raw, tmp_path / "bad", "000004")
+    with pytest.raises(DecodeError, match="000004") as caught:
+        nimprep.convert(source, url, workers=1, **OPTIONS)
+    assert "the same command goes on" in caught.value.__notes__[0]
+    assert beside(url) == {"out.zarr", ".out.zarr.partial"}
+    with pytest.raises(StoreError, match="cut short"):
+        nimprep.open_store(url)
+    with pytest.raises(StoreError, match="seed 0 then and 3 now; give those again, or --restart"):
+        nimprep.convert(source, url, seed=3, **OPTIONS)
+    shutil.copy(raw / "label" / "000004.png", source / "label" / "000004.png")
+    proxy.forget()
+    nimprep.convert(source, url, **OPTIONS)
+    assert {r.path.split("/c/")[1] for r in proxy.seen("PUT", "/rgb/c/")} == {"2/0/0/0", "3/0/0/0"}
+    assert validate_store(url, deep=True).problems == []
+
+
+def test_where_nothing_was_done_nothing_is_left(url: str, raw: Path, tmp_path: Path) -> None:
+    source = damaged(raw, tmp_path / "bad", "000001")
+    with pytest.raises(DecodeError, match="000001"):
+        nimprep.convert(source, url, workers=1, **OPTIONS)
+    assert beside(url) == set()
+
+
+def test_skipped_frames_leave_no_gap(url: str, raw: Path, tmp_path: Path) -> None:
+    source = damaged(raw, tmp_path / "bad", "000001", "000004")
+    here = tmp_path / "here.zarr"
+    nimprep.convert(source, here, on_error="skip", **OPTIONS)
+    nimprep.convert(source, url, on_error="skip", **OPTIONS)
+    assert below(url) == contents(here)
+    assert beside(url) == {"out.zarr"}
+
+
+@pytest.mark.parametrize("every", [5, 4])
+def test_requests_that_fail_now_and_then_change_nothing(
+    url: str, raw: Path, local: Path, proxy: Proxy, every: int
+) -> None:
+    kinds = ("503", "reset", "lost", "cut", "500")
+    count = itertools.count()
+
+    def fault(request: Request) -> str | None:
+        number = next(count)
+        return kinds[number // every % len(kinds)] if number % every == 0 else None
+
+    proxy.fault = fault
+    nimprep.convert(raw, url, **OPTIONS)
+    proxy.fault = lambda request: None
+    assert len(proxy.spoilt) > 20
+    assert below(url) == contents(local)
+    assert beside(url) == {"out.zarr"}
+
+
+def test_a_store_out_of_reach_halfway_ends_it_and_it_goes_on_later(
+    url: str, raw: Path, local: Path, proxy: Proxy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(objects, "RETRIES", 2)
+    proxy.fault = lambda request: "503" if request.path.endswith("depth/c/2/0/0") else None
+    with pytest.raises(StoreError, match=r"depth/c/2/0/0: expected an answer of .*found 503") as e:
+        nimprep.convert(raw, url, **OPTIONS)
+    # The unit behind it may have been written already.
+    assert re.match("[45] of 7 frames are kept", e.value.__notes__[0])
+    proxy.fault = lambda request: None
+    with pytest.warns(UserWarning, match="left its lock or is at work; watching it for up to"):
+        nimprep.convert(raw, url, **OPTIONS)
+    assert below(url) == contents(local)
+    assert beside(url) == {"out.zarr"}
+
+
+def hidden(url: str) -> ObjectStorage:
+    return ObjectStorage(url).sibling(".out.zarr.partial")
+
+
+@pytest.mark.filterwarnings("ignore:.*left its lock or is at work:UserWarning")
+def test_of_two_at_once_the_second_is_refused(
+    url: str, raw: Path, local: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(object_lock, "BEAT_S", 0.6)
+    monkeypatch.setattr(object_lock, "STALE_S", 3.0)
+    words = rf"found one at work, process {os.getpid()} on "
+    with ObjectLock(hidden(url), "lock", url), pytest.raises(StoreError, match=words):
+        nimprep.convert(raw, url, **OPTIONS)
+    nimprep.convert(raw, url, **OPTIONS)
+    assert below(url) == contents(local)
+
+
+@pytest.mark.filterwarnings("ignore:.*left its lock or is at work:UserWarning")
+def test_a_lock_that_was_taken_over_stops_whoever_held_it(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = ObjectLock(hidden(url), "lock", url)
+    monkeypatch.setattr(first, "_beat", lambda: None)  # as a machine that sleeps
+    first._heart = threading.Thread(target=first._beat)
+    with first:
+        first.check()
+        with ObjectLock(hidden(url), "lock", url) as second:
+            with pytest.raises(StoreError, match="found that another conversion took it over"):
+                first.check()
+            second.check()
+    assert beside(url) == set()
+
+
+def test_a_lock_of_long_ago_is_taken_over_at_once(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(object_lock, "STALE_S", 30.0)
+    monkeypatch.setattr(object_lock, "ANCIENT_S", -60.0)
+    hidden(url).write("lock", [b"what is this"])
+    start = time.monotonic()
+    with ObjectLock(hidden(url), "lock", url) as lock:
+        lock.check()
+    assert time.monotonic() - start < 20
+    assert beside(url) == set()
+
+
+@pytest.mark.parametrize("kind", ["reset", "lost", "cut", "503"])
+def test_a_lock_holds_although_answers_get_lost(url: str, proxy: Proxy, kind: str) -> None:
+    count = itertools.count()
+    proxy.fault = lambda r: kind if r.method == "PUT" and next(count) % 2 == 0 else None
+    with ObjectLock(hidden(url), "lock", url) as lock:
+        while len(proxy.seen("PUT")) < 8:
+            lock.check()
+            time.sleep(0.02)
+    assert beside(url) == set()
+    assert len(proxy.spoilt) >= 4
+
+
+def failing(call: Callable[[], object]) -> str:
+    with pytest.raises(StoreError) as caught:
+        call()
+    return str(caught.value)
+
+
+def test_what_cannot_be_written_is_one_line_and_exit_1(
+    url: str, raw: Path, proxy: Proxy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, _, err = run("convert", raw, "s3://nobody-has-this/out.zarr", *INTRINSICS)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "expected a bucket, found none of that name; make it first" in err
+    proxy.fault = lambda request: "403" if request.method == "PUT" else None
+    code, _, err = run("convert", raw, url, *INTRINSICS)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "expected access, found it denied (403" in err
+    proxy.fault = lambda request: None
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    code, _, err = run("convert", raw, url, *INTRINSICS)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "expected an answer of http://127.0.0.1:9" in err
+
+
+def test_a_bucket_is_no_name_for_a_store_and_a_url_no_source(raw: Path, proxy: Proxy) -> None:
+    assert "expected a name for the store in the bucket" in failing(
+        lambda: nimprep.convert(raw, f"s3://{BUCKET}")
+    )
+    with pytest.raises(LayoutError, match="local or mounted, found a URL"):
+        nimprep.convert(f"s3://{BUCKET}/raw", "out.zarr")
+    assert proxy.requests == []

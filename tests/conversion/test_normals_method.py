@@ -1,0 +1,104 @@
+"""Normals by the method asked for, from the command to the store and to training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import nimprep
+from nimprep.cli import main
+from nimprep.derive.modalities import recipe_from
+from nimprep.errors import ArrayError
+from nimprep.store.validate import validate_store
+from tests.fakes import write_gmrp
+
+CAMERA = (30.0, 31.0, 15.0, 11.0)
+
+
+@pytest.fixture
+def raw(tmp_path: Path) -> Path:
+    return write_gmrp(tmp_path / "gmrp", frames=3)
+
+
+def convert(*arguments: object):
+    named = [str(a) for a in ("convert", *arguments, "--intrinsics", "30,31,15,11", "--quiet")]
+    return CliRunner().invoke(main, named)
+
+
+@pytest.mark.parametrize(
+    ("options", "noise"), [((), "estimated"), (("--noise", "0.002"), 0.002), (("--noise", 0), 0.0)]
+)
+def test_convert_makes_edge_aware_normals_and_says_how(
+    raw: Path, tmp_path: Path, options: tuple[object, ...], noise: object
+) -> None:
+    result = convert(raw, tmp_path / "s.zarr", "--normals", "nim-edge", *options)
+    assert result.exit_code == 0, result.output
+    store = nimprep.open_store(tmp_path / "s.zarr")
+    made = store.attributes["modalities"]["normal"]
+    assert made["method"] == "nim-edge"
+    assert made["parameters"] == {"noise": noise, "fill": "none"}
+    frame, given = store[1], None if noise == "estimated" else noise
+    exact = nimprep.estimate_normals(frame.depth_m, frame.camera, "nim-edge", noise=given)
+    assert np.abs(exact - frame.normal).max() < 0.01
+    assert recipe_from(store.attributes["modalities"]).noise == given
+    report = validate_store(store.path, deep=True)
+    assert report.problems == []
+    assert report.checks["frames recomputed"] == 3
+
+
+def test_a_deep_validation_finds_normals_of_another_method(raw: Path, tmp_path: Path) -> None:
+    nimprep.convert(raw, tmp_path / "s.zarr", camera=CAMERA, normals="nim-edge")
+    path = tmp_path / "s.zarr" / "zarr.json"
+    path.write_text(path.read_text().replace('"estimated"', "0.5"))
+    problems = validate_store(tmp_path / "s.zarr", deep=True).problems
+    assert any("normal: expected what 'nim-edge' makes of the depth" in p for p in problems)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--normals", "nim-edge", "--sign-filter"), "expected --sign-filter with --normals nim"),
+        (("--noise", "0.1"), "expected --noise with --normals nim-edge, found nim"),
+        (("--normals", "nim-edge", "--noise", "-1"), "-1"),
+        (("--normals", "sobel"), "'sobel' is not one of"),
+    ],
+)
+def test_options_of_the_other_method_are_a_wrong_call(
+    raw: Path, tmp_path: Path, options: tuple[str, ...], message: str
+) -> None:
+    result = convert(raw, tmp_path / "s.zarr", *options)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not (tmp_path / "s.zarr").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"normals": "nim-edge", "sign_filter": True},
+        {"noise": 0.1},
+        {"normals": "nim-edge", "noise": -1},
+    ],
+)
+def test_options_of_the_other_method_are_refused_before_anything_is_read(
+    options: dict[str, object],
+) -> None:
+    with pytest.raises(ArrayError, match=r"^(sign_filter|noise): expected "):
+        nimprep.ConvertOptions(**options)
+
+
+def test_training_takes_edge_aware_normals_of_the_stored_depth(raw: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from nimprep.torch import StoreDataset, StoreLoader
+
+    options = {"camera": CAMERA, "modalities": ("rgb", "depth")}
+    path = nimprep.convert(raw, tmp_path / "s.zarr", **options).path
+    frame = nimprep.open_store(path)[1]
+    expected = nimprep.estimate_normals(frame.depth_m, frame.camera, method="nim-edge")
+    dataset = StoreDataset(path, split=None, setup="nim-rgb+d", normals="nim-edge")
+    assert np.array_equal(dataset[1]["inputs"][3:].numpy(), np.moveaxis(expected, 2, 0))
+    (batch,) = StoreLoader(dataset, batch_size=3)
+    assert np.array_equal(batch["inputs"][1, 3:].numpy(), np.moveaxis(expected, 2, 0))
