@@ -12,6 +12,7 @@ from typing import BinaryIO
 from nimprep.errors import DecodeError, NimprepError
 
 _DONT_WAIT = getattr(os, "O_NONBLOCK", 0)
+_PIECE = 1 << 16
 
 
 @contextmanager
@@ -43,7 +44,9 @@ def open_plain(
     # Opening a pipe that nobody writes to would wait as well.
     wait = 0 if pipes else _DONT_WAIT
     try:
-        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | wait)) as file:
+        with open(
+            path, "rb", buffering=0, opener=lambda name, flags: os.open(name, flags | wait)
+        ) as file:
             state = os.fstat(file.fileno())
             if not pipes and not stat.S_ISREG(state.st_mode):
                 raise error(f"{path}: expected {what}, found a pipe or a device")
@@ -68,13 +71,12 @@ def read_file(
 
     A file of more than `limit` bytes is an error too, before it is read.
     """
-    parts, total = [], 0
+    parts: list[bytes] = []
+    part, total = b"-", 0
     with open_plain(path, what, error, pipes=pipes) as (file, size):
-        # One byte beyond the limit is enough: a pipe does not tell its size.
-        while size <= limit and total <= limit:
-            part = file.read(min(limit + 1 - total, size + 1 if size else 1 << 16))
-            if not part:
-                break
+        # Always asked for one byte too many: a pipe does not tell its size, and a file may grow.
+        while part and size <= limit and total <= limit and not (parts and total == size):
+            part = file.read(min(limit - total, max(size - total, _PIECE)) + 1)
             parts.append(part)
             total += len(part)
     if max(size, total) > limit:

@@ -202,6 +202,15 @@ def test_new_scenes_go_where_frames_are_short() -> None:
     assert count_splits(splits.values()) == {"train": 120, "val": 20, "test": 20}
 
 
+def test_a_single_scene_that_joins_may_be_held_out() -> None:
+    old = {f"{scene}/{i}": scene for scene in "abcdefghij" for i in range(10)}
+    known = {i: {"a": "val", "b": "test"}.get(scene, "train") for i, scene in old.items()}
+    new = {f"k/{i}": "k" for i in range(10)}
+    # 110 frames hold out 17 and 17: 20 are nearer to that than 10.
+    splits = extend_splits(old | new, known, "group")
+    assert {splits[i] for i in new} == {"val"}
+
+
 def test_a_frame_without_a_scene_cannot_join_by_group() -> None:
     known = split_by_group(SCENES)
     with pytest.raises(SplitError, match=r"stray: expected a group .* \(1 of 1 frames\)"):

@@ -19,7 +19,8 @@ from contextlib import suppress
 from types import TracebackType
 
 from nimprep.errors import StoreError
-from nimprep.store.objects import ObjectStorage, RequestError, Version
+from nimprep.store.connection import RequestError
+from nimprep.store.objects import ObjectStorage, Version
 
 BEAT_S = 5.0
 """How often a lock is renewed."""

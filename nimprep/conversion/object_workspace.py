@@ -16,8 +16,9 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from nimprep.conversion.object_lock import ObjectLock
 from nimprep.conversion.workspace import Workspace, open_workspace
 from nimprep.errors import StoreError
+from nimprep.store.connection import RequestError
 from nimprep.store.metadata import ROOT, read_attributes, read_document
-from nimprep.store.objects import ObjectStorage, RequestError
+from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage
 
 

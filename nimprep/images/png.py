@@ -28,6 +28,9 @@ _KINDS = {
 _USED = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 """Chunks that pixels depend on. Texts, profiles and animations do not matter and can be bombs."""
 
+_HARMLESS = (b"tIME", b"pHYs", b"gAMA", b"sRGB", b"cHRM", b"sBIT", b"bKGD")
+"""Chunks of a few bytes that many files have: taking them out would cost a copy of the file."""
+
 _BEST_RATIO = 1032
 """Deflate makes at most so many bytes of one: 258 of two bits."""
 
@@ -64,6 +67,9 @@ def checked_png(data: bytes, path: Path) -> bytes:
     view, seen, packed = memoryview(data), [b""], 0
     kept = [view[: len(SIGNATURE)]]
     for kind, start, end in _chunks(data, path):
+        if kind in _HARMLESS:
+            kept.append(view[start:end])
+            continue
         if kind not in _USED:
             if not kind[0] & 0x20:
                 raise broken(path, "PNG", f"a chunk {kind!r}, which nobody knows")
@@ -77,7 +83,7 @@ def checked_png(data: bytes, path: Path) -> bytes:
     if seen.count(b"IDAT") != 1 or (data[25] == 3 and b"PLTE" not in seen):
         raise broken(path, "PNG", "its pixels or their palette missing or out of place")
     _check_pixels(data, packed, path)
-    return b"".join(kept)
+    return data if sum(map(len, kept)) == len(data) else b"".join(kept)
 
 
 def _chunks(data: bytes, path: Path) -> Iterator[tuple[bytes, int, int]]:

@@ -8,42 +8,17 @@ thread of Python and pins one release of botocore, which other packages seldom a
 
 from __future__ import annotations
 
-import os
 import posixpath
-import re
-import sys
-import time
-import weakref
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from datetime import timedelta
-from functools import wraps
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from nimprep.errors import StoreError
-from nimprep.store.relay import relay
+from nimprep.store.connection import connect, live, requesting
 
 if TYPE_CHECKING:
     from obstore.store import ObjectStore
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-RETRIES = 8
-"""Times a request is made again after a connection fault, a 5xx answer or a timeout."""
-
-RETRY_S = 180.0
-"""After so many seconds a request that fails is not made again."""
-
-REQUEST_S = 60.0
-"""How long one request may take, its body included."""
-
-BACKOFF_S = 0.1
-"""How long to wait before a request is made again; twice as long each time after."""
-
-AGAIN = 4
-"""Times a request is made that obstore does not retry: see `_requesting`."""
 
 PART_BYTES = 5 << 20
 """A larger object goes up in parts of this size, each of them retried by itself."""
@@ -53,66 +28,6 @@ PARALLEL = 16
 
 Version = dict[str, Any]
 """What tells one state of an object from another."""
-
-
-class RequestError(StoreError):
-    """A request was refused, or failed each time it was made again."""
-
-
-_live: weakref.WeakSet[ObjectStorage] = weakref.WeakSet()
-_kept: list[Any] = []
-_forked = False
-
-
-def _after_fork() -> None:
-    global _forked
-    if "obstore" in sys.modules:
-        _forked = True
-        # Closing a connection here would close it for the process that this one came from.
-        _kept.extend(storage._opened for storage in _live)
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
-
-
-def _requesting(
-    method: Callable[Concatenate[ObjectStorage, P], R],
-) -> Callable[Concatenate[ObjectStorage, P], R]:
-    """Let a method run where requests can be made; what goes wrong is a `RequestError`."""
-
-    @wraps(method)
-    def run(self: ObjectStorage, /, *arguments: P.args, **named: P.kwargs) -> R:
-        if _forked:
-            value: R = relay().call(self, method.__name__, arguments, named)
-            return value
-        from obstore.exceptions import BaseError
-
-        key = f"/{arguments[0]}" if arguments and isinstance(arguments[0], str) else ""
-        for attempt in range(1, AGAIN + 1):
-            try:
-                return method(self, *arguments, **named)
-            except (BaseError, OSError) as error:
-                if attempt == AGAIN or not _worth_again(str(error)):
-                    raise RequestError(f"{self.url}{key}: {_explained(error)}") from error
-            time.sleep(BACKOFF_S * 2**attempt)
-        raise AssertionError("not reached")
-
-    return run
-
-
-_DETAILS = "\n\nDebug source"
-"""Begins what obstore adds to its errors for its own authors."""
-
-
-def _worth_again(error: str) -> bool:
-    """Return whether a request failed on its way, and obstore did not make it again.
-
-    It does not when the connection breaks within the answer to some kinds of request, nor for puts
-    under a condition. Here whoever makes those tells by what was put whether it was done already.
-    """
-    said = error.partition(_DETAILS)[0]
-    return "HTTP error" in said and "max_retries" not in said
 
 
 class ObjectStorage:
@@ -148,7 +63,7 @@ class ObjectStorage:
         self.url = str(location_from(url))
         self.options = options
         self.before_write: Callable[[], None] | None = None
-        self._opened: ObjectStore | None = None
+        self.opened: ObjectStore | None = None
         if find_spec("obstore") is None:
             raise StoreError(
                 f"{self.url}: expected the package obstore, which reaches URLs, found none; "
@@ -166,7 +81,7 @@ class ObjectStorage:
 
     def __setstate__(self, state: tuple[str, dict[str, Any]]) -> None:
         self.url, self.options = state
-        self.before_write, self._opened = None, None
+        self.before_write, self.opened = None, None
 
     def sibling(self, name: str) -> ObjectStorage:
         """Return the place of another name beside this one."""
@@ -179,10 +94,10 @@ class ObjectStorage:
 
     def _store(self) -> ObjectStore:
         # Two threads may both open it: one of the two goes on being used.
-        if self._opened is None:
-            self._opened = _opened(self.url, self.options)
-            _live.add(self)
-        return self._opened
+        if self.opened is None:
+            self.opened = connect(self.url, self.options)
+            live.add(self)
+        return self.opened
 
     @property
     def _lists(self) -> bool:
@@ -195,7 +110,7 @@ class ObjectStorage:
         if self.before_write is not None:
             self.before_write()
 
-    @_requesting
+    @requesting
     def read(self, key: str, limit: int | None = None) -> bytes | None:
         """Return an object's bytes; None = there is none. One request."""
         try:
@@ -215,7 +130,7 @@ class ObjectStorage:
             found = pool.map(lambda key: self.read(key, limit), keys)
             return dict(zip(keys, found, strict=True))
 
-    @_requesting
+    @requesting
     def read_tail(self, key: str, length: int) -> tuple[bytes, int]:
         """Return an object's last bytes, and how many it has in all. One request."""
         from obstore.exceptions import NotSupportedError
@@ -228,12 +143,12 @@ class ObjectStorage:
             size = store.head(key)["size"]  # Azure counts from the beginning only
             return store.get_range(key, start=max(0, size - length), end=size).to_bytes(), size
 
-    @_requesting
+    @requesting
     def read_range(self, key: str, offset: int, length: int) -> bytes:
         """Return bytes from within an object, fewer where it ends before. One request."""
         return self._store().get_range(key, start=offset, length=length).to_bytes()
 
-    @_requesting
+    @requesting
     def write(self, key: str, parts: Sequence[bytes]) -> None:
         """Put an object, in place of what was there."""
         self._begin_writing()
@@ -242,7 +157,7 @@ class ObjectStorage:
         else:
             self._store().put(key, iter(parts), chunk_size=PART_BYTES, max_concurrency=4)
 
-    @_requesting
+    @requesting
     def create(self, key: str, data: bytes) -> Version | None:
         """Put an object where there is none and return its version; None = there is one."""
         from obstore.exceptions import AlreadyExistsError
@@ -252,7 +167,7 @@ class ObjectStorage:
         except AlreadyExistsError:
             return None
 
-    @_requesting
+    @requesting
     def replace(self, key: str, data: bytes, version: Version) -> Version | None:
         """Put an object in place of this version of it; None = it is another, or gone."""
         from obstore.exceptions import PreconditionError
@@ -263,7 +178,7 @@ class ObjectStorage:
         except (PreconditionError, FileNotFoundError):
             return None
 
-    @_requesting
+    @requesting
     def look(self, key: str) -> tuple[bytes, Version, float] | None:
         """Return an object's bytes, version and time of writing (the server's); None = none."""
         try:
@@ -280,7 +195,7 @@ class ObjectStorage:
         self._copy(key, other)
         self._delete([key])
 
-    @_requesting
+    @requesting
     def _copy(self, key: str, other: str) -> None:
         self._store().copy(key, other)
 
@@ -294,14 +209,14 @@ class ObjectStorage:
         self._begin_writing()
         self._delete([key for key in self.keys() if key != but])
 
-    @_requesting
+    @requesting
     def _delete(self, keys: Sequence[str]) -> None:
         # Google's and Azure's say so where there was none; S3 does not.
         with suppress(FileNotFoundError):
             if keys:
                 self._store().delete(keys)
 
-    @_requesting
+    @requesting
     def keys(self, prefix: str = "") -> list[str]:
         """Return the keys that lie below a prefix, sorted. One request per thousand."""
         return sorted(found["path"] for found in self._listed(prefix))
@@ -311,12 +226,12 @@ class ObjectStorage:
             raise StoreError(f"{self.url}: expected a place that can be listed, found a web server")
         return self._store().list(prefix or None).collect()
 
-    @_requesting
+    @requesting
     def has_keys(self) -> bool:
         """Return whether there is any object here. One request."""
         return any(self._store().list(chunk_size=1))
 
-    @_requesting
+    @requesting
     def folders(self) -> list[str]:
         """Return the first parts of keys with several; none where they cannot be listed."""
         if not self._lists:
@@ -324,7 +239,7 @@ class ObjectStorage:
         found: Any = self._store().list_with_delimiter()
         return sorted(found["common_prefixes"])
 
-    @_requesting
+    @requesting
     def sizes(self, keys: Sequence[str]) -> dict[str, int]:
         """Return the bytes under those of the keys that are there.
 
@@ -352,71 +267,6 @@ class ObjectStorage:
         return ObjectStore(self._store())
 
 
-def _opened(url: str, options: dict[str, Any]) -> ObjectStore:
-    from obstore.exceptions import BaseError
-    from obstore.store import from_url
-
-    plain = url if url.startswith("http") else os.environ.get("AWS_ENDPOINT_URL", "")
-    client: Any = {
-        "connect_timeout": timedelta(seconds=5),
-        "timeout": timedelta(seconds=REQUEST_S),
-        # Whoever names an http:// address means it.
-        **({"allow_http": True} if plain.startswith("http://") else {}),
-        **options.get("client_options", {}),
-    }
-    retry: Any = {
-        "max_retries": RETRIES,
-        "retry_timeout": timedelta(seconds=RETRY_S),
-        "backoff": {
-            "init_backoff": timedelta(seconds=BACKOFF_S),
-            "max_backoff": timedelta(seconds=5),
-            "base": 2,
-        },
-        **options.get("retry_config", {}),
-    }
-    rest = {k: v for k, v in options.items() if k not in ("client_options", "retry_config")}
-    try:
-        return from_url(url, client_options=client, retry_config=retry, **rest)
-    except (BaseError, ValueError, TypeError) as error:
-        found = _shortened(str(error))
-        raise StoreError(f"{url}: expected settings to reach it with, found: {found}") from error
-
-
 def _refuse_lost_bucket(error: FileNotFoundError) -> None:
     if "NoSuchBucket" in str(error):
         raise error
-
-
-_CREDENTIALS = (
-    "check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and AWS_REGION, or the like of another "
-    "provider; AWS_SKIP_SIGNATURE=true reads what is public"
-)
-
-
-def _explained(error: Exception) -> str:
-    """Return in one line what a request's failure means; the server's answer is XML in prose."""
-    text = str(error)
-    code = re.search(r"<Code>(.*?)</Code>", text, re.S)
-    said = re.search(r"<Message>(.*?)</Message>", text, re.S)
-    status = re.search(r"status code: (\d{3}[^:\n]*)", text)
-    answer = ": ".join(m[1].strip() for m in (status, code, said) if m)
-    if "NoSuchBucket" in text:
-        return "expected a bucket, found none of that name; make it first"
-    if isinstance(error, FileNotFoundError):
-        return "expected an object, found none"
-    kind = type(error).__name__
-    if kind in ("PermissionDeniedError", "UnauthenticatedError"):
-        return f"expected access, found it denied ({answer or kind}); {_CREDENTIALS}"
-    if "169.254.169.254" in text or "metadata.google" in text:
-        return f"expected credentials, found none; {_CREDENTIALS}"
-    server = re.search(r"performing \w+ (\w+://[^/\s]+)", text)
-    found = answer or _shortened(text)
-    tries = re.search(r"after (\d+) retries", text)
-    many = f" after {tries[1]} retries" if tries else ""
-    return f"expected an answer{f' of {server[1]}' if server else ''}, found {found}{many}"
-
-
-def _shortened(text: str) -> str:
-    said = " ".join(text.partition(_DETAILS)[0].split())
-    # What precedes the dash says which request it was, which the key does already.
-    return re.sub(r"^Generic \w+ error: ", "", said.rpartition(" - ")[2])[:300]

@@ -1,6 +1,6 @@
 """Requests after a fork, made by a process of its own.
 
-What makes requests (`nimprep.store.objects`) runs threads, which a fork leaves behind, and waits
+What makes requests (`nimprep.store.connection`) runs threads, which a fork leaves behind, and waits
 for them: a forked process that made a request would wait for ever, and disturb the connections of
 the one it came from. PyTorch's DataLoader forks its workers by default. So a forked process starts
 a fresh one, asks it over a pipe, and gets bytes back; it ends when the pipe closes.

@@ -197,10 +197,9 @@ def check_tables(store: Store, report: Report) -> None:
                 report.add(f"group: expected one split per group, found {group!r} in two")
                 break
     for name, column in store.attributes.get("frame_metadata", {}).items():
-        if len(column["of_frame"]) != len(store) or max(column["of_frame"]) >= len(
-            column["values"]
-        ):
-            report.add(f"attributes: expected one of {name!r}'s values per frame, found others")
+        places, count = column["of_frame"], len(column["values"])
+        if len(places) != len(store) or max(places) >= count:
+            report.add(f"attributes: expected one value of {name!r} per frame, found others")
     for number in range(len(store)):
         if report.full:
             break

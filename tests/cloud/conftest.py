@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import nimprep
-from nimprep.store import objects
+from nimprep.store import connection, objects
 from tests.cloud.server import BUCKET, VARIABLES, FolderHandler, Proxy, Server
 from tests.fakes import contents, write_gmrp
 
@@ -56,7 +56,7 @@ def proxy(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Proxy]:
     for name, value in VARIABLES.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("AWS_ENDPOINT_URL", made.url)
-    monkeypatch.setattr(objects, "BACKOFF_S", 0.001)
+    monkeypatch.setattr(connection, "BACKOFF_S", 0.001)
     yield made
     made.close()
 

@@ -19,7 +19,7 @@ import nimprep
 from nimprep.conversion import object_lock
 from nimprep.conversion.object_lock import ObjectLock
 from nimprep.errors import DecodeError, LayoutError, SplitError, StoreError
-from nimprep.store import objects
+from nimprep.store import connection
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.validate import validate_store
 from tests.cloud.conftest import CAMERA
@@ -294,7 +294,7 @@ def test_requests_that_fail_now_and_then_change_nothing(
 def test_a_store_out_of_reach_halfway_ends_it_and_it_goes_on_later(
     url: str, raw: Path, local: Path, proxy: Proxy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(objects, "RETRIES", 2)
+    monkeypatch.setattr(connection, "RETRIES", 2)
     proxy.fault = lambda request: "503" if request.path.endswith("depth/c/2/0/0") else None
     with pytest.raises(StoreError, match=r"depth/c/2/0/0: expected an answer of .*found 503") as e:
         nimprep.convert(raw, url, **OPTIONS)

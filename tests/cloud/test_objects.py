@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from nimprep.errors import StoreError
-from nimprep.store import objects
+from nimprep.store import connection, objects
 from nimprep.store.location import location_from, storage_from
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage, Storage
@@ -116,7 +116,7 @@ def test_a_server_that_does_not_answer_is_asked_again(url: str, proxy: Proxy) ->
 def test_a_server_that_fails_for_good_is_given_up(
     url: str, proxy: Proxy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(objects, "RETRIES", 3)
+    monkeypatch.setattr(connection, "RETRIES", 3)
     proxy.fault = lambda request: "503"
     with pytest.raises(
         StoreError, match=r"s3://.*/a: expected an answer of http://127.*, found 503"

@@ -290,6 +290,19 @@ def test_a_kill_at_the_last_step_excuses_no_other_source(
     with pytest.raises(StoreError, match="found '000000'"):
         nimprep.append_frames(tmp_path / "a", store)
     assert contents(store) == after
+    assert mortals.run("append", source, store) == 0
+
+
+def test_a_kill_at_the_last_step_excuses_no_source_that_changed(
+    tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path
+) -> None:
+    source, store = tiny
+    assert mortals.run("append", source, store, 3) == -signal.SIGKILL
+    after = contents(store)
+    shutil.copy(source / "rgb" / "000003.png", source / "rgb" / "000004.png")
+    with pytest.raises(StoreError, match="found '000003'"):
+        nimprep.append_frames(source, store)
+    assert contents(store) == after
     later = write_frames(tmp_path / "c", range(5, 7))
     assert nimprep.append_frames(later, store).ids == ("000005", "000006")
 

@@ -109,6 +109,13 @@ def test_smaller_images_are_padded_and_other_codecs_made_the_firsts(
     assert first[2] >> 5 == second[2] >> 5 == (1 if order == 1 else 4)
 
 
+def test_another_codec_of_the_same_size_becomes_the_firsts(tmp_path: Path) -> None:
+    whole = made(tmp_path, "all", range(3))
+    parts = [made(tmp_path, "a", range(2)), made(tmp_path, "b", range(2, 3), codec="small")]
+    nimprep.merge_stores(parts, tmp_path / "m.zarr")
+    assert images_and_tables(tmp_path / "m.zarr") == images_and_tables(whole)
+
+
 def test_padding_is_ignored_and_empty(tmp_path: Path) -> None:
     parts = [made(tmp_path, "a", range(1), size=(20, 20)), made(tmp_path, "b", range(1, 2))]
     merged = nimprep.merge_stores(parts, tmp_path / "m.zarr")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -246,3 +248,25 @@ def test_the_largest_image_there_may_be_is_read(tmp_path: Path) -> None:
     path.write_bytes(png(side, side + 1, 1))
     with pytest.raises(DecodeError, match=f"1 to {MAX_PIXELS} pixels"):
         read_label(path)
+
+
+_READ_ALL = """
+import sys
+from pathlib import Path
+from nimprep.errors import DecodeError
+from nimprep.images import read_depth, read_rgb
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    for read in (read_rgb, read_depth):
+        try:
+            print(read(path).shape)
+        except DecodeError:
+            pass
+"""
+
+
+def test_a_file_cut_in_half_makes_no_library_print_anything(tmp_path: Path) -> None:
+    for name, data in SAMPLES.items():
+        (tmp_path / name).write_bytes(data[: len(data) // 2])
+    command = [sys.executable, "-c", _READ_ALL, str(tmp_path)]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert (result.stdout, result.stderr) == ("", "")

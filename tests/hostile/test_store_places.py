@@ -204,6 +204,15 @@ def test_validate_finds_what_is_foreign(seen: dict[str, list[Any]], case: str) -
     assert codes["validate --deep --quiet"] == 1
 
 
+@pytest.mark.parametrize("case", NAMES)
+def test_an_array_that_the_root_names_elsewhere_is_not_looked_for(
+    made_store: Path, tmp_path: Path, case: str
+) -> None:
+    store = copied(made_store, tmp_path)
+    NAMES[case](store)
+    assert any("a name that can be none's" in p for p in validate_store(store).problems)
+
+
 def copied(store: Path, folder: Path) -> Path:
     return Path(shutil.copytree(store, folder / "s.zarr"))
 

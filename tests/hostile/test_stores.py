@@ -252,6 +252,9 @@ def test_a_blosc_header_that_lies_is_refused_or_gives_an_image(made_store: Path,
     chunk = header(packed(image), **LIES[case])
     with changed(made_store, {"label/c/0/0/0": shard([chunk, chunk])}):
         use(made_store, "stores, chunks")
+        if "bytes" in " ".join(LIES[case]):
+            with pytest.raises(StoreError, match="bytes that become 768, found"):
+                read(made_store)
 
 
 def test_a_chunk_larger_than_its_image_is_refused_unread(made_store: Path) -> None:
@@ -289,3 +292,16 @@ def test_numbers_that_json_has_not_are_refused(made_store: Path, number: str) ->
         pytest.raises(StoreError, match=r"zarr\.json: expected JSON, found"),
     ):
         show(made_store)
+
+
+@pytest.mark.parametrize("of_frame", [[9, 0, 0], [0], [], [10**30, 0, 1]])
+def test_metadata_that_does_not_fit_the_frames_is_found_and_does_no_harm(
+    made_store: Path, of_frame: list[int]
+) -> None:
+    whole = document(made_store)
+    column = {"values": [{"x": []}, 7, None], "of_frame": of_frame}
+    whole["attributes"]["nimprep"]["frame_metadata"] = {"depth_source": column}
+    with changed(made_store, {"zarr.json": whole}):
+        show(made_store)
+        problems = validate_store(made_store).problems
+    assert any("one value of 'depth_source' per frame" in p for p in problems), problems
