@@ -93,9 +93,11 @@ def encode_frame(
             f"{reader.root / changed[0]}: expected a file that stays as it is, found it changed "
             "during the conversion"
         )
+    from nimprep.derive.kernels.sums import count_values
+
     counts = np.zeros(DEPTHS, dtype=np.int64)
     if "depth" in stored:
-        counts = np.bincount(stored["depth"].reshape(-1), minlength=DEPTHS)
+        count_values(stored["depth"], counts)
     sums = channel_sums({n: i for n, i in stored.items() if n in layout.modalities})
     return EncodedFrame(_facts(frame, gravity, sums, digest), chunks, counts)
 

@@ -98,6 +98,16 @@ def encode_hha(
     )
 
 
+def encode_hha_and_gravity(
+    depth_m: Any, camera: Camera, missing: Any = None, num_threads: int | None = None
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
+    """Return what `encode_hha` and `estimate_gravity` do, in less time than one after the other."""
+    scene = scene_from_depth(depth_m, camera, missing, num_threads)
+    gravity = gravity_of_scene(scene)
+    repeat_lines = missing is not None and bool(np.any(missing))
+    return _encode_scene(scene, _checked_gravity(gravity), repeat_lines=repeat_lines), gravity
+
+
 def _encode_scene(
     scene: Scene, gravity: npt.NDArray[np.float64], repeat_lines: bool
 ) -> npt.NDArray[np.uint8]:

@@ -184,15 +184,15 @@ def derive(
             noise=recipe.noise,
         )
     if "hha" in modalities:
-        from nimprep.derive.gravity import estimate_gravity
-        from nimprep.derive.hha import encode_hha
+        from nimprep.derive.hha import encode_hha, encode_hha_and_gravity
 
+        depth, camera = frame.depth_m, frame.camera
         if frame.cam_to_road is not None:
             # The road frame's y axis points down, as the camera's does.
             gravity = frame.cam_to_road[:, :3].T @ (0.0, 1.0, 0.0)
+            images["hha"] = encode_hha(depth, camera, missing, gravity, num_threads=1)
         else:
-            gravity = estimate_gravity(frame.depth_m, frame.camera, missing, num_threads=1)
-        images["hha"] = encode_hha(frame.depth_m, frame.camera, missing, gravity, num_threads=1)
+            images["hha"], gravity = encode_hha_and_gravity(depth, camera, missing, num_threads=1)
     images |= {name: _plane(name, frame, recipe) for name in ON_REQUEST if name in modalities}
     return Derived(images, gravity)
 

@@ -21,9 +21,11 @@ MAX_DEPTH_M = 65.535
 
 def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     """Round (H, W) float32 metres to uint16 millimetres; beyond `MAX_DEPTH_M` = 0, none."""
-    millimetres: npt.NDArray[np.float32] = np.rint(depth_m * np.float32(1000))
-    millimetres[millimetres > 65535] = 0
-    return millimetres.astype(np.uint16)
+    from nimprep.derive.kernels import quantisation
+
+    out = np.empty(depth_m.shape, np.uint16)
+    quantisation.metres_to_millimetres(np.ascontiguousarray(depth_m), out)
+    return out
 
 
 def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:

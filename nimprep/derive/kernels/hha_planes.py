@@ -72,35 +72,47 @@ def _sum_windows(columns, radius, sums):
     """Run along the columns: sums of w, uw, vw, 1, u, u², v, uv, v² of every window of a row."""
     width = columns.shape[1]
     w0 = wu = wv = n0 = nu = nuu = nv = nuv = nvv = 0.0
-    for u in range(-radius, width):
-        enter = u + radius
-        if enter < width:
-            w, n, m = columns[0, enter], columns[2, enter], columns[3, enter]
+    for u in range(min(radius, width)):
+        w, n, m = columns[0, u], columns[2, u], columns[3, u]
+        w0 += w
+        wu += u * w
+        wv += columns[1, u]
+        n0 += n
+        nu += u * n
+        nuu += u * u * n
+        nv += m
+        nuv += u * m
+        nvv += columns[4, u]
+    for u in range(width):
+        if u + radius < width:
+            # Doubles, since products of integers would have to be turned into them.
+            enter = np.float64(u + radius)
+            w, n, m = columns[0, u + radius], columns[2, u + radius], columns[3, u + radius]
             w0 += w
             wu += enter * w
-            wv += columns[1, enter]
+            wv += columns[1, u + radius]
             n0 += n
             nu += enter * n
             nuu += enter * enter * n
             nv += m
             nuv += enter * m
-            nvv += columns[4, enter]
-        leave = u - radius - 1
-        if leave >= 0:
-            w, n, m = columns[0, leave], columns[2, leave], columns[3, leave]
+            nvv += columns[4, u + radius]
+        last = u - radius - 1
+        if last >= 0:
+            leave = np.float64(last)
+            w, n, m = columns[0, last], columns[2, last], columns[3, last]
             w0 -= w
             wu -= leave * w
-            wv -= columns[1, leave]
+            wv -= columns[1, last]
             n0 -= n
             nu -= leave * n
             nuu -= leave * leave * n
             nv -= m
             nuv -= leave * m
-            nvv -= columns[4, leave]
-        if u >= 0:
-            sums[0, u], sums[1, u], sums[2, u] = w0, wu, wv
-            sums[3, u], sums[4, u], sums[5, u] = n0, nu, nuu
-            sums[6, u], sums[7, u], sums[8, u] = nv, nuv, nvv
+            nvv -= columns[4, last]
+        sums[0, u], sums[1, u], sums[2, u] = w0, wu, wv
+        sums[3, u], sums[4, u], sums[5, u] = n0, nu, nuu
+        sums[6, u], sums[7, u], sums[8, u] = nv, nuv, nvv
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
