@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from nimprep.errors import DecodeError, StoreError
 from nimprep.store.metadata import read_attributes
 from nimprep.store.validate import validate_store
 from tests.fakes import contents, write_gmrp, write_png
+from tests.held import RECORD, held
+from tests.processes import PATIENCE_S, Processes
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
@@ -49,20 +52,12 @@ def run(*arguments: object, **options: object) -> subprocess.CompletedProcess[st
     return subprocess.run(command, capture_output=True, text=True, check=False, **options)  # type: ignore[call-overload, no-any-return]
 
 
-def begin(source: Path, target: Path, *arguments: str) -> subprocess.Popen[str]:
-    """Start a conversion as a user does; return once its first shards are written."""
-    process = subprocess.Popen(
-        [*COMMAND, "--shard-length", "2", "--workers", "1", *arguments, str(source), str(target)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    units = target.with_name(f".{target.name}.partial") / "journal" / "units"
-    deadline = time.monotonic() + 60
-    while not list(units.glob("*.json")) and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.001)
-    assert process.poll() is None, process.communicate()
-    return process
+def begun(
+    processes: Processes, source: Path, target: Path, *arguments: str
+) -> AbstractContextManager[subprocess.Popen[str]]:
+    """Start a conversion as a user does; it stands still once its first shards are written."""
+    options = ("--shard-length", "2", "--workers", "1", *arguments)
+    return held(processes, RECORD, "convert", *options, source, target)
 
 
 def test_the_same_command_goes_on_after_a_bad_frame_was_mended(gmrp: Path, tmp_path: Path) -> None:
@@ -217,7 +212,9 @@ def test_skipped_frames_exit_1_unless_so_many_are_allowed(gmrp: Path, tmp_path: 
     assert validate_store(tmp_path / "s.zarr", deep=True).problems == []
 
 
-def test_mended_frames_are_taken_in_when_it_goes_on(gmrp: Path, tmp_path: Path) -> None:
+def test_mended_frames_are_taken_in_when_it_goes_on(
+    gmrp: Path, tmp_path: Path, processes: Processes
+) -> None:
     nimprep.convert(gmrp, tmp_path / "whole.zarr", shard_length=2)
     first = damage(gmrp / "depth_u16" / "000001.png")
     later = (gmrp / "label" / "000006.png").read_bytes()
@@ -225,9 +222,9 @@ def test_mended_frames_are_taken_in_when_it_goes_on(gmrp: Path, tmp_path: Path) 
     target = tmp_path / "s.zarr"
     with pytest.raises(DecodeError, match="000001"):
         nimprep.convert(gmrp, target, shard_length=2, workers=1)
-    process = begin(gmrp, target, "--on-error", "skip")
-    process.kill()
-    process.communicate()
+    with begun(processes, gmrp, target, "--on-error", "skip") as process:
+        process.kill()
+        process.wait()
     (gmrp / "depth_u16" / "000001.png").write_bytes(first)
     (gmrp / "label" / "000006.png").write_bytes(later)
     nimprep.convert(gmrp, target, shard_length=2, restart=True)
@@ -281,11 +278,12 @@ def test_killed_at_random_moments_it_ends_with_the_same_bytes(
     print(f"killed {killed} times, {halfway} of them halfway, in {runs} runs; all bytes the same")
 
 
-def test_what_a_kill_leaves_does_not_look_like_a_store(tmp_path: Path) -> None:
-    source = write_gmrp(tmp_path / "gmrp", frames=60, size=(120, 160))
-    process = begin(source, tmp_path / "s.zarr")
-    process.kill()
-    process.communicate()
+def test_what_a_kill_leaves_does_not_look_like_a_store(
+    gmrp: Path, tmp_path: Path, processes: Processes
+) -> None:
+    with begun(processes, gmrp, tmp_path / "s.zarr") as process:
+        process.kill()
+        process.wait()
     assert not (tmp_path / "s.zarr").exists()
     partial = tmp_path / ".s.zarr.partial" / "store"
     assert not read_attributes(partial, complete=False)["complete"]
@@ -295,27 +293,30 @@ def test_what_a_kill_leaves_does_not_look_like_a_store(tmp_path: Path) -> None:
     assert list(partial.glob("*/zarr.json")) == []
 
 
-def test_ctrl_c_says_how_to_go_on_and_exits_130(tmp_path: Path) -> None:
-    source = write_gmrp(tmp_path / "gmrp", frames=60, size=(120, 160))
-    process = begin(source, tmp_path / "s.zarr")
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+def test_ctrl_c_says_how_to_go_on_and_exits_130(
+    gmrp: Path, tmp_path: Path, processes: Processes
+) -> None:
+    with begun(processes, gmrp, tmp_path / "s.zarr") as process:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130, errors
     lines = [line for line in errors.splitlines() if not line.startswith("warning")]
     assert len(lines) == 1, errors
     assert lines[0].startswith("interrupted; ")
     assert "the same command goes on from them" in lines[0]
     assert not (tmp_path / "s.zarr").exists()
-    assert run(source, tmp_path / "s.zarr", "--shard-length", "2").returncode == 0
+    assert run(gmrp, tmp_path / "s.zarr", "--shard-length", "2").returncode == 0
 
 
-def test_of_two_conversions_into_one_target_the_second_is_refused(tmp_path: Path) -> None:
-    source = write_gmrp(tmp_path / "gmrp", frames=60, size=(120, 160))
-    first = begin(source, tmp_path / "s.zarr")
-    second = run(source, tmp_path / "s.zarr", "--shard-length", "2")
+def test_of_two_conversions_into_one_target_the_second_is_refused(
+    gmrp: Path, tmp_path: Path, processes: Processes
+) -> None:
+    with begun(processes, gmrp, tmp_path / "s.zarr") as first:
+        second = run(gmrp, tmp_path / "s.zarr", "--shard-length", "2")
+        assert first.poll() is None
     assert second.returncode == 1
     assert "expected no other conversion into it, found one at work" in second.stderr
-    _, errors = first.communicate(timeout=120)
+    _, errors = first.communicate(timeout=PATIENCE_S)
     assert first.returncode == 0, errors
     assert validate_store(tmp_path / "s.zarr", deep=True).problems == []
     assert {path.name for path in tmp_path.iterdir()} == {"gmrp", "s.zarr"}
