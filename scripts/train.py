@@ -26,6 +26,7 @@ import nimprep
 from nimprep.evaluation import Evaluation
 from nimprep.frame import IGNORE_LABEL
 from nimprep.metrics import confusion_matrix
+from nimprep.text import printable
 from nimprep.torch import SETUPS, StoreDataset, StoreLoader
 from nimprep.torch.transforms import (
     ColorJitter,
@@ -168,7 +169,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     out.mkdir(parents=True, exist_ok=True)
     first = state["epoch"]
     with tqdm(
-        total=options.epochs * len(loader), initial=first * len(loader), desc=out.name
+        total=options.epochs * len(loader), initial=first * len(loader), desc=printable(out.name)
     ) as bar:
         bar.scores = {}
         for epoch in range(first, options.epochs):
@@ -190,7 +191,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 def print_table(results: Sequence[dict[str, Any]]) -> None:
     """Print F-score and IoU per class and their mean without background, a row per run."""
-    classes = [c.name for c in results[0]["scores"]["test"].classes]
+    classes = [printable(c.name) for c in results[0]["scores"]["test"].classes]
     columns = [*classes, "mean"]
     print(f"{'':18}{'':6}" + "".join(f"{name:^20}" for name in columns))
     print(f"{'setup':18}{'split':6}" + f"{'F-score':>10}{'IoU':>8}  " * len(columns))
@@ -202,7 +203,7 @@ def print_table(results: Sequence[dict[str, Any]]) -> None:
                 strict=True,
             )
             cells = "".join(f"{f:10.4f}{iou:8.4f}  " for f, iou in pairs)
-            print(f"{result['name']:18}{split:6}{cells}")
+            print(f"{printable(result['name']):18}{split:6}{cells}")
 
 
 def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:

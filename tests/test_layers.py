@@ -11,7 +11,7 @@ import nimprep
 PACKAGE = Path(nimprep.__file__).parent
 
 LAYERS = [
-    ["errors"],
+    ["errors", "text"],
     ["files", "camera", "frame"],
     ["schema"],
     ["images", "splits", "metrics"],

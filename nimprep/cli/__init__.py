@@ -8,14 +8,16 @@ import os
 import sys
 import traceback
 import warnings
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 import click
 
 from nimprep import __version__
-from nimprep.cli.options import printable
+from nimprep.cli.echo import echo
 from nimprep.errors import NimprepError
+from nimprep.text import printable
 
 _COMMANDS = {
     "convert": ("nimprep.cli.convert", "Turn a raw dataset into a store."),
@@ -63,9 +65,13 @@ class _LazyGroup(click.Group):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             fail(f"standard output: expected room for the result, found {error.strerror}")
 
+    def make_context(self, *args: Any, **named: Any) -> click.Context:
+        with _clean_usage():
+            return super().make_context(*args, **named)
+
     def invoke(self, ctx: click.Context) -> Any:
         try:
-            with warnings.catch_warnings():
+            with _clean_usage(), warnings.catch_warnings():
                 warnings.simplefilter("default", UserWarning)
                 warnings.showwarning = _show_warning
                 return super().invoke(ctx)
@@ -73,8 +79,18 @@ class _LazyGroup(click.Group):
             fail("; ".join((str(error), *getattr(error, "__notes__", ()))))
         except KeyboardInterrupt as error:
             notes = getattr(error, "__notes__", ())
-            click.echo("; ".join(("interrupted", *notes)), err=True)
+            echo("; ".join(("interrupted", *notes)), err=True)
             sys.exit(130)
+
+
+@contextmanager
+def _clean_usage() -> Iterator[None]:
+    """Let what click says of a wrong call, which may be a file's name, steer no terminal."""
+    try:
+        yield
+    except click.ClickException as error:
+        click.ClickException.__init__(error, printable(error.message))
+        raise
 
 
 def _while_printing(error: OSError) -> bool:
@@ -84,12 +100,12 @@ def _while_printing(error: OSError) -> bool:
 
 
 def _show_warning(message: Warning | str, *rest: Any, **named: Any) -> None:
-    click.echo(f"warning: {printable(str(message))}", err=True)
+    echo(f"warning: {' '.join(str(message).split())}", err=True)
 
 
 def fail(message: str) -> NoReturn:
     """Print one line to stderr and exit 1: the data is bad."""
-    click.echo("error: " + printable(" ".join(message.split())), err=True)
+    echo(f"error: {' '.join(message.split())}", err=True)
     sys.exit(1)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import (
     given_camera,
     progress_bars,
@@ -56,6 +57,7 @@ def append(src: Path, store: str, quiet: bool, allow_skipped: int, **given: Any)
     options = nimprep.AppendOptions(camera=camera, **given)
     done = nimprep.append_frames(src, store, options, progress=progress_bars(quiet))
     there = f", {done.existing} were there already" if done.existing else ""
-    click.echo(f"added {len(done.ids)} frames{there}\n")
-    click.echo(info_text(store_info(store)))
+    echo(f"added {len(done.ids)} frames{there}")
+    echo()
+    echo(info_text(store_info(store)), lines=True)
     report_skipped(store, [asdict(frame) for frame in done.skipped], allow_skipped)

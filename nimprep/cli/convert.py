@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import (
     given_camera,
     parse_numbers,
@@ -150,5 +151,5 @@ def convert(src: str, out: str, quiet: bool, allow_skipped: int, **given: Any) -
 
     options = nimprep.ConvertOptions(camera=camera, **given)
     store = nimprep.convert(src, out, options, progress=progress_bars(quiet))
-    click.echo(info_text(store_info(store)))
+    echo(info_text(store_info(store)), lines=True)
     report_skipped(out, store.attributes.get("skipped", []), allow_skipped)

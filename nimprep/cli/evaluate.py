@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import json_option, progress_bars, quiet_option
 
 if TYPE_CHECKING:
@@ -117,7 +118,8 @@ def evaluate(
         from nimprep.evaluation.page import write_page
 
         write_page(html, store, found, worst=worst, progress=progress)
-    click.echo(_written(found, "json" if as_json else style or "text", metrics, worst))
+    style = "json" if as_json else style or "text"
+    echo(_written(found, style, metrics, worst), lines=True, bold=True)
 
 
 def _written(found: Comparison, style: str, metrics: tuple[str, ...], worst: int) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import progress_bars, quiet_option
 
 
@@ -51,4 +52,4 @@ def export(store: str, out: Path, form: Any, frames: tuple[str, ...], quiet: boo
     from nimprep.export import export_frames
 
     ids = export_frames(store, out, form, frames or None, progress_bars(quiet))
-    click.echo(f"{out}: {len(ids)} frames")
+    echo(f"{out}: {len(ids)} frames")

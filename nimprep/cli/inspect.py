@@ -7,7 +7,8 @@ import sys
 
 import click
 
-from nimprep.cli.options import json_option, printable, progress_bars, quiet_option
+from nimprep.cli.echo import echo
+from nimprep.cli.options import json_option, progress_bars, quiet_option
 
 
 @click.command()
@@ -18,7 +19,7 @@ def info(store: str, as_json: bool) -> None:
     from nimprep.store.info import info_text, store_info
 
     found = store_info(store)
-    click.echo(json.dumps(found, indent=2) if as_json else printable(info_text(found)))
+    echo(json.dumps(found, indent=2) if as_json else info_text(found), lines=True)
 
 
 @click.command()
@@ -32,15 +33,15 @@ def validate(store: str, deep: bool, as_json: bool, quiet: bool) -> None:
 
     report = validate_store(store, deep=deep, progress=progress_bars(quiet))
     if as_json:
-        click.echo(json.dumps(report.to_dict(), indent=2))
+        echo(json.dumps(report.to_dict(), indent=2), lines=True)
     elif report.valid:
         checks = ", ".join(f"{number} {what}" for what, number in report.checks.items())
-        click.echo(f"{store}: valid, {report.frames} frames ({checks} checked)")
+        echo(f"{store}: valid, {report.frames} frames ({checks} checked)")
     else:
         for problem in report.problems:
-            click.echo(printable(f"{store}: {problem}"))
+            echo(f"{store}: {problem}")
     if not report.valid:
-        click.echo(
+        echo(
             f"error: {store}: expected a valid store, found it is not "
             f"({len(report.problems)} problems)",
             err=True,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import json_option, progress_bars, quiet_option
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def depth(src: Path, out: Path, wanted: Any, sparse: bool, quiet: bool) -> None:
     counts = ", ".join(
         f"{n} from {source}" for source, n in sorted(Counter(chosen.values()).items())
     )
-    click.echo(f"{len(chosen)} frames: {counts}; recorded in {out / RECORD}")
+    echo(f"{len(chosen)} frames: {counts}; recorded in {out / RECORD}")
 
 
 @kitti.command()
@@ -81,7 +82,7 @@ def bev(predictions: Path, out: Path, calib: Path | None, quiet: bool) -> None:
     from nimprep.kitti.transform import transform_folder
 
     written = transform_folder(predictions, out, calib, progress_bars(quiet))
-    click.echo(f"{len(written)} images written to {out}")
+    echo(f"{len(written)} images written to {out}")
 
 
 @kitti.command()
@@ -98,7 +99,8 @@ def evaluate(
     from nimprep.kitti.evaluation import evaluate_predictions
 
     evaluation = evaluate_predictions(predictions, gt, calib, view, progress_bars(quiet))
-    click.echo(json.dumps(evaluation.to_dict(), indent=2) if as_json else _score_table(evaluation))
+    text = json.dumps(evaluation.to_dict(), indent=2) if as_json else _score_table(evaluation)
+    echo(text, lines=True)
 
 
 def _score_table(evaluation: Evaluation) -> str:
@@ -149,7 +151,7 @@ def pack(
         overwrite=overwrite,
         progress=progress_bars(quiet),
     )
-    click.echo(
+    echo(
         f"{packed.path}: {len(packed.names)} predictions, {packed.transformed} of them transformed"
     )
 
@@ -184,4 +186,4 @@ def overlay(
 
     folders = OverlayFolders(predictions, gt, images, calib)
     written = write_overlays(folders, out, view, threshold, progress_bars(quiet))
-    click.echo(f"{len(written)} pictures written to {out}")
+    echo(f"{len(written)} pictures written to {out}")

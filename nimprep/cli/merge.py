@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import progress_bars, quiet_option
 
 
@@ -50,4 +51,4 @@ def merge(
         overwrite=overwrite,
         progress=progress_bars(quiet),
     )
-    click.echo(info_text(store_info(out)))
+    echo(info_text(store_info(out)), lines=True)

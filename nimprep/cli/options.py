@@ -10,18 +10,11 @@ from typing import Any, TypeVar
 
 import click
 
+from nimprep.cli.echo import echo
+from nimprep.text import printable
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 Progress = Callable[[str, int], Callable[[], None]]
-
-
-def printable(text: str) -> str:
-    """Return the text with what cannot be seen written out: no store may steer a terminal."""
-    return "".join(
-        letter
-        if letter.isprintable() or letter == "\n"
-        else letter.encode("unicode_escape").decode("ascii")
-        for letter in text
-    )
 
 
 def parse_numbers(value: str, names: str, kind: type[int] | type[float]) -> tuple[Any, ...]:
@@ -124,7 +117,8 @@ def progress_bars(quiet: bool) -> Progress:
             return lambda: None
         from tqdm import tqdm
 
-        bar = tqdm(total=frames, desc=step, unit="frame", file=sys.stderr, dynamic_ncols=True)
+        name = printable(step)
+        bar = tqdm(total=frames, desc=name, unit="frame", file=sys.stderr, dynamic_ncols=True)
 
         def done() -> None:
             bar.update()
@@ -139,9 +133,9 @@ def progress_bars(quiet: bool) -> Progress:
 def report_skipped(store: object, skipped: Sequence[Mapping[str, str]], allowed: int) -> None:
     """Name the frames that were left out on stderr; exit 1 where they are more than allowed."""
     for frame in skipped:
-        click.echo(f"skipped {frame['id']}: {frame['reason']}", err=True)
+        echo(f"skipped {frame['id']}: {frame['reason']}", err=True)
     if len(skipped) > allowed:
-        click.echo(
+        echo(
             f"error: {store}: expected at most {allowed} bad frames, found {len(skipped)}; the "
             f"store is complete without them, --allow-skipped {len(skipped)} says that is fine",
             err=True,

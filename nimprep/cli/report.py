@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from nimprep.cli.options import printable, progress_bars, quiet_option
+from nimprep.cli.echo import echo
+from nimprep.cli.options import progress_bars, quiet_option
 
 
 @click.command()
@@ -30,8 +31,8 @@ def report(store: str, out: str, overwrite: bool, max_mb: float, quiet: bool) ->
     made = write_report(store, out, overwrite, max_mb, progress_bars(quiet))
     for finding in made.findings:
         text = f"{finding.severity}: {finding.title}: {finding.text}"
-        click.echo(printable(" ".join(text.split())))
-    click.echo(
+        echo(" ".join(text.split()))
+    echo(
         f"{made.path}: {made.frames} frames, {made.shown} of them with pictures, "
         f"{made.bytes / 1e6:.1f} MB"
     )

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from nimprep.cli.echo import echo
+
 
 @click.command()
 @click.argument("store", type=click.Path())
@@ -47,6 +49,6 @@ def split(
     else:
         splits = open_store(store).splits
     for name, count in count_splits(splits.values()).items():
-        click.echo(f"{name:<6}{count:>8}{count / len(splits):>8.1%}")
+        echo(f"{name:<6}{count:>8}{count / len(splits):>8.1%}")
     if export_file is not None:
         write_split_file(export_file, splits)

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
 from nimprep.frame import MAX_PIXELS
+from nimprep.text import printable
 
 DEMO_FRAMES = 16
 
@@ -52,7 +54,7 @@ def synth(
         noise=not no_noise,
         progress=lambda _: done(),
     )
-    click.echo(f"{out}: {frames} frames of {size[1]}x{size[0]} pixels")
+    echo(f"{out}: {frames} frames of {size[1]}x{size[0]} pixels")
 
 
 def _free_name() -> Path:
@@ -91,14 +93,15 @@ def demo(out: Path | None, quiet: bool) -> None:
     report = validate_store(store, deep=True, progress=progress)
     if not report.valid:
         raise StoreError(f"{store}: expected a valid store, found {report.problems[0]}")
-    click.echo(f"{report.frames} frames, every chunk and normal checked: valid\n")
+    echo(f"{report.frames} frames, every chunk and normal checked: valid")
+    echo()
     _step(f"nimprep info {store}")
-    click.echo(info_text(store_info(store)))
-    click.echo(_NEXT.format(store=store))
+    echo(info_text(store_info(store)), lines=True)
+    echo(_NEXT.format(store=printable(str(store))), lines=True)
 
 
 def _step(command: str) -> None:
-    click.echo(f"$ {command}")
+    echo(f"$ {command}")
 
 
 _NEXT = """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from nimprep.cli.echo import echo
 from nimprep.cli.options import progress_bars, quiet_option
 
 
@@ -28,7 +29,7 @@ def view(store: str, port: int, browser: bool, quiet: bool) -> None:
 
     seen = examine(store, progress_bars(quiet))
     with make_server(seen, port) as server:
-        click.echo(f"{store}: {len(seen.store)} frames at {server.address} (Ctrl-C ends)")
+        echo(f"{store}: {len(seen.store)} frames at {server.address} (Ctrl-C ends)")
         if browser:
             click.launch(server.address)
         server.run()

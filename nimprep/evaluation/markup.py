@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from nimprep.evaluation.comparison import Table
-from nimprep.evaluation.text import printable
+from nimprep.text import printable
 
 _MARKDOWN = {ord(c): f"\\{c}" for c in "\\`*_[]<>|~&$"}
 """What would be taken for markup inside a table's cell; GitHub reads $ as mathematics."""
@@ -75,6 +75,6 @@ def comparison_latex(table: Table) -> str:
 
 
 def _latex(text: str) -> str:
-    escaped = printable(text).replace("\N{REPLACEMENT CHARACTER}", "?").translate(_LATEX)
+    escaped = printable(text).translate(_LATEX)
     # Two or three hyphens in a row would become one dash.
     return re.sub("-(?=-)", "-{}", escaped)

@@ -10,11 +10,11 @@ import numpy as np
 from nimprep.evaluation.comparison import DIGITS, HEADS, Comparison, Method
 from nimprep.evaluation.overlays import draw_frames, worst_frames
 from nimprep.evaluation.scores import MEASURES, Evaluation
-from nimprep.evaluation.text import printable
 from nimprep.kitti.parallel import Progress
 from nimprep.report.page import render_page
 from nimprep.report.page import write_page as write_file
 from nimprep.store.reader import Store, open_store
+from nimprep.text import printable
 
 
 def write_page(

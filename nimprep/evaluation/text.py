@@ -7,14 +7,10 @@ from collections.abc import Iterable, Sequence
 
 from nimprep.evaluation.comparison import DIGITS, HEADS, MEAN, Comparison, Table
 from nimprep.evaluation.scores import MEASURES, Evaluation
+from nimprep.text import printable
 
 BEST = "*"
 """Follows the best score of a column, and is explained below the table."""
-
-
-def printable(text: str) -> str:
-    """Return one line that a terminal shows as it is: ids and names may come from anywhere."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def evaluation_text(
@@ -54,13 +50,14 @@ def _means(
 
 def _scores(title: str, heads: Sequence[str], rows: Sequence[tuple[str, list[float]]]) -> str:
     """Return a line per row of numbers; whole ones are counts, NaN is a dash."""
-    wide = _widest([title, *(name for name, _ in rows)])
+    names = [printable(name) for name, _ in rows]
+    wide = _widest([title, *names])
     lines = [f"{title:<{wide}}" + "".join(f"{head:>11}" for head in heads)]
-    for name, values in rows:
+    for name, (_, values) in zip(names, rows, strict=True):
         texts = (
             "-" if math.isnan(v) else str(v) if isinstance(v, int) else _shown(v) for v in values
         )
-        lines.append(f"{printable(name):<{wide}}" + "".join(f"{text:>11}" for text in texts))
+        lines.append(f"{name:<{wide}}" + "".join(f"{text:>11}" for text in texts))
     return "\n".join(lines)
 
 

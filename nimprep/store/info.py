@@ -10,6 +10,7 @@ import numpy as np
 
 from nimprep.splits import count_splits
 from nimprep.store.reader import Store, open_store
+from nimprep.text import printable
 
 
 def store_info(path: Store | Path | str) -> dict[str, Any]:
@@ -83,7 +84,7 @@ def _camera(store: Store) -> dict[str, Any]:
 
 
 def info_text(info: dict[str, Any]) -> str:
-    """Return the object of `store_info` as lines for a person."""
+    """Return the object of `store_info` as lines for a person, whatever names it holds."""
     sizes = ", ".join(f"{s['width']}x{s['height']}" for s in info["sizes"])
     split = info["split"]
     counts = ", ".join(f"{name} {count}" for name, count in split["frames"].items())
@@ -107,7 +108,7 @@ def info_text(info: dict[str, Any]) -> str:
         rows.append(("classes", ", ".join(f"{c['id']} {c['name']}" for c in info["classes"])))
     if info["skipped"]:
         rows.append(("skipped", f"{len(info['skipped'])} bad frames of the source"))
-    lines = [f"{name:<9}{text}" for name, text in rows]
+    lines = [f"{name:<9}{printable(text)}" for name, text in rows]
     lines.append("")
     wide = max(10, *(len(name) + 1 for name in info["modalities"]))
     lines.append(f"{'modality':<{wide}}{'dtype':<8}{'made by':<14}{'MB':>9}{'of raw':>9}")
@@ -116,7 +117,7 @@ def info_text(info: dict[str, Any]) -> str:
         made = m["method"] if m["method"] != "source" else "copied"
         megabytes = m["bytes"] / 1e6
         size = f"{megabytes:>9.2f}{share:>8.0%}"
-        lines.append(f"{name:<{wide}}{m['dtype']:<8}{made:<14}{size}")
+        lines.append(printable(f"{name:<{wide}}{m['dtype']:<8}{made:<14}{size}"))
     return "\n".join(lines)
 
 

@@ -1,0 +1,151 @@
+"""A folder with something for every command to work on, and a call of each.
+
+Tests loop over `CALLS`, and fail where a command is not there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from click.testing import CliRunner, Result
+
+import nimprep
+from nimprep.cli import main
+from tests.fakes import SIZE, depth_image, write_png
+from tests.kitti.scenes import HEIGHT, WIDTH, noise, road_folder
+
+CLASSES = ("other", "road")
+COLOURS = [[0, 0, 0], [0, 200, 0]]
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of a command that goes well in a world.
+
+    Attributes
+    ----------
+    arguments : tuple of str or Path
+        Paths are relative to the world.
+    out : str
+        The argument that names what is written; "" = nothing is.
+    """
+
+    arguments: tuple[str | Path, ...]
+    out: str = ""
+
+    def at(self, root: Path, out: Path | None = None) -> list[str]:
+        """Return the arguments in a world, with another place to write to if one is named."""
+        return [
+            str(out if out is not None and a == Path(self.out) else root / a)
+            if isinstance(a, Path)
+            else a
+            for a in self.arguments
+        ]
+
+
+S, RAW, NEW = Path("s.zarr"), Path("raw"), Path("new")
+KITTI = Path("road/training")
+EVALUATE = ("evaluate", S, Path("predictions"))
+CALLS = {
+    "convert": [Call(("convert", RAW, NEW, "--description", Path("raw.json")), "new")],
+    "append": [Call(("append", Path("more"), S, "--description", Path("raw.json")), "s.zarr")],
+    "merge": [Call(("merge", S, Path("t.zarr"), NEW), "new")],
+    "info": [Call(("info", S)), Call(("info", S, "--json"))],
+    "validate": [Call(("validate", S, "--deep")), Call(("validate", S, "--json"))],
+    "split": [Call(("split", S)), Call(("split", S, "--export", NEW), "new")],
+    "evaluate": [
+        *(Call((*EVALUATE, "--format", f)) for f in ("text", "json", "markdown", "latex")),
+        Call((*EVALUATE, Path("others"), "--format", "text")),
+        Call((*EVALUATE, "--html", NEW), "new"),
+    ],
+    "export": [Call(("export", S, NEW, "--format", f), "new") for f in ("png", "npz", "rerun")],
+    "report": [Call(("report", S, NEW), "new")],
+    "view": [Call(("view", S, "--port", "0"))],
+    "synth": [Call(("synth", NEW, "--frames", "1", "--size", "32x24"), "new")],
+    "demo": [Call(("demo", NEW), "new")],
+    "kitti depth": [Call(("kitti", "depth", Path("road"), NEW), "new")],
+    "kitti bev": [
+        Call(("kitti", "bev", Path("maps"), NEW, "--calib", KITTI / "calib"), "new"),
+    ],
+    "kitti evaluate": [
+        Call(("kitti", "evaluate", Path("maps"), KITTI / "gt_image_2", "--view", "perspective"))
+    ],
+    "kitti pack": [
+        Call(("kitti", "pack", Path("maps"), NEW, "--partial", "--calib", KITTI / "calib"), "new")
+    ],
+    "kitti overlay": [
+        Call(
+            ("kitti", "overlay", Path("maps"), KITTI / "gt_image_2", KITTI / "image_2", NEW),
+            "new",
+        )
+    ],
+}
+
+
+def commands(group: click.Group = main, prefix: str = "") -> Iterator[tuple[str, click.Command]]:
+    """Yield every command that is no group, by the words that call it."""
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from commands(command, f"{prefix}{name} ")
+        elif command is not None:
+            yield f"{prefix}{name}", command
+
+
+def run(arguments: list[str]) -> Result:
+    """Call nimprep in this process."""
+    return CliRunner().invoke(main, arguments)
+
+
+def make_world(root: Path, classes: tuple[str, ...] = CLASSES, dataset: str = "world") -> Path:
+    """Make the folder: datasets raw and more, stores of each, predictions, a KITTI road folder.
+
+    Parameters
+    ----------
+    classes, dataset
+        Names in the datasets, which may be hostile.
+    """
+    description = {
+        "format": "nimprep-folder",
+        "version": "1.0",
+        "name": dataset,
+        "rgb": "rgb/{id}.png",
+        "depth": {"files": "depth/{id}.png", "scale_m": 0.001},
+        "label": {"files": "label/{id}.png"},
+        "classes": [{"id": i, "name": name, "color": COLOURS[i]} for i, name in enumerate(classes)],
+        "camera": {"fx": 30, "fy": 31, "cx": 15, "cy": 11},
+        "group": "{group}/*",
+    }
+    root.mkdir(parents=True, exist_ok=True)
+    (root / "raw.json").write_text(json.dumps(description))
+    for name, scene in (("raw", "a"), ("more", "b")):
+        _write_frames(root / name, scene)
+    options = {"description": root / "raw.json", "shard_length": 2, "split_by": "frame"}
+    nimprep.convert(root / "raw", root / "s.zarr", **options)
+    nimprep.convert(root / "more", root / "t.zarr", **options)
+    for folder in ("predictions", "others"):
+        for number in range(3):
+            guess = np.full(SIZE, number % 2, np.uint8)
+            write_png(root / folder / "a" / f"{number}.png", guess)
+    road_folder(root / "road")
+    write_png(root / "maps" / "um_road_000000.png", noise(0, HEIGHT, WIDTH))
+    # A test frame, as the benchmark's zip takes no other.
+    road_folder(root / "road", split="testing")
+    return root
+
+
+def _write_frames(folder: Path, scene: str) -> None:
+    for number in range(3):
+        rng = np.random.default_rng(number)
+        name = f"{scene}/{number}.png"
+        write_png(folder / "rgb" / name, rng.integers(0, 256, (*SIZE, 3), dtype=np.uint8))
+        write_png(folder / "depth" / name, depth_image(number))
+        label = np.zeros(SIZE, np.uint8)
+        label[SIZE[0] // 2 :] = 1
+        write_png(folder / "label" / name, label)
