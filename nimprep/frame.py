@@ -3,81 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from nimprep import modality
 from nimprep.camera import Camera
+from nimprep.modality import modality_name as modality_name
 
-MODALITIES: tuple[str, ...] = (
-    "rgb",
-    "depth",
-    "normal",
-    "hha",
-    "disparity",
-    "transformed_disparity",
-    "elevation",
-    "label",
-)
-"""Every image a frame can hold, in the order in which they are listed everywhere."""
-
-ON_REQUEST: tuple[str, ...] = ("disparity", "transformed_disparity", "elevation")
-"""Modalities that a store has only where they were asked for by name."""
-
-
-@dataclass(frozen=True)
-class Plane:
-    """Say how an image of one number per pixel is kept as integers: number = stored / steps.
-
-    Attributes
-    ----------
-    dtype : {"uint16", "int16"}
-        Unsigned: 0 = none, in memory too. Signed: `none` = none, in memory NaN, as 0 is a number.
-    steps : int
-        Of a pixel or of a metre.
-    units : {"pixel", "m"}
-    """
-
-    dtype: str
-    steps: int
-    units: str
-
-    @property
-    def none(self) -> int:
-        """What is stored where there is no number."""
-        return 0 if self.dtype == "uint16" else -32768
-
-
-PLANES: dict[str, Plane] = {
-    "depth": Plane("uint16", 1000, "m"),
-    # KITTI's own: up to 255.996 pixels, to 0.002. What is nearer is stored as that.
-    "disparity": Plane("uint16", 256, "pixel"),
-    # As far to either side of the road, to 0.004 pixels: far below what a matcher resolves.
-    "transformed_disparity": Plane("int16", 128, "pixel"),
-    "elevation": Plane("int16", 1000, "m"),
-}
-"""The modalities of one number per pixel.
-
-Numbers beyond an integer's range become its ends, so that all of them are there where depth is;
-only depth itself is none where it is too far.
-"""
-
+IGNORE_LABEL: int = modality.MODALITIES["label"].fill
+"""Label of pixels that take part in no statistic: padding, or outside an evaluated area."""
 
 VIRTUAL_BASELINE_M = 0.055
 """Baseline where a dataset has none: that of the RealSense D415, which took GMRP (datasheet).
 
 So GMRP's disparities are those the camera itself matched, at the colour image's focal length, and
-a store's uint16 holds them for depth from 0.2 m on (see `PLANES`).
+a store's uint16 holds them for depth from 0.2 m on (see `nimprep.modality`).
 """
 
-
-def modality_name(name: str) -> str:
-    """Return a modality's name as arrays have it, from a spelling with hyphens as well."""
-    return name.strip().replace("-", "_")
-
-
-IGNORE_LABEL = 255
-"""Label of pixels that take part in no statistic: padding, or outside an evaluated area."""
 
 MAX_PIXELS = 1 << 26
 """Images of more pixels are refused before anything is allocated for them (67 megapixels)."""
@@ -139,3 +83,24 @@ class Frame:
     group: str = ""
     baseline_m: float = float("nan")
     cam_to_road: npt.NDArray[np.float64] | None = None
+
+
+# Kept for a release, for those who import them: `nimprep.modality` says all of this.
+
+
+class Plane(NamedTuple):
+    """What is said of a modality of one number per pixel: number = stored / steps."""
+
+    dtype: str
+    steps: int
+    units: str
+    none: int
+
+
+MODALITIES: tuple[str, ...] = tuple(modality.MODALITIES)
+ON_REQUEST: tuple[str, ...] = tuple(n for n, m in modality.MODALITIES.items() if m.on_request)
+PLANES: dict[str, Plane] = {
+    n: Plane(m.dtype, m.steps, m.units, m.fill)
+    for n, m in modality.MODALITIES.items()
+    if m.values == "numbers"
+}

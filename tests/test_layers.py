@@ -12,7 +12,7 @@ PACKAGE = Path(nimprep.__file__).parent
 
 LAYERS = [
     ["errors", "text"],
-    ["files", "camera", "frame"],
+    ["files", "camera", "modality", "frame"],
     ["schema"],
     ["images", "splits", "metrics"],
     ["derive"],

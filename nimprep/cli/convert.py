@@ -16,7 +16,7 @@ from nimprep.cli.options import (
     reading_options,
     report_skipped,
 )
-from nimprep.frame import MODALITIES, modality_name
+from nimprep.modality import MODALITIES, modality_name
 
 
 def _crop(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:

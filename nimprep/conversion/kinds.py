@@ -7,9 +7,11 @@ from dataclasses import asdict, astuple, fields
 from typing import Any
 
 from nimprep.conversion.options import ConvertOptions
+from nimprep.conversion.plan import describe_modalities
 from nimprep.derive.modalities import recipe_from
 from nimprep.errors import DecodeError, LayoutError, StoreError
 from nimprep.frame import LabelClass
+from nimprep.modality import MODALITIES
 from nimprep.readers import Reader
 from nimprep.readers.crop import Margins
 from nimprep.store.reader import Store
@@ -39,13 +41,12 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
         labels="label" in store.modalities,
         crop=margins if any(margins) else None,
         modalities=store.modalities,
-        normal_dtype=attributes["modalities"].get("normal", {}).get("dtype", "int8"),
+        normal_dtype=normal_dtype(store),
         codec=attributes["codec"],
         shard_length=shard_length(store),
     )
-    described = {name: options.recipe.describe(name) for name in store.modalities}
-    if "normal" in described:
-        described["normal"]["dtype"] = options.normal_dtype
+    held = (array.modality for array in store.arrays.values())
+    described = describe_modalities(held, options.recipe)
     found = {name: attributes["modalities"][name] for name in store.modalities}
     for what, wanted, there in (
         ("format", FORMAT_VERSION, attributes["format_version"]),
@@ -57,6 +58,12 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
                 "convert everything anew"
             )
     return options
+
+
+def normal_dtype(store: Store) -> str:
+    """Return the data type of a store's normals; that of others where it has none."""
+    held = store.arrays["normal"].modality if "normal" in store.arrays else MODALITIES["normal"]
+    return held.dtype
 
 
 def shard_length(store: Store) -> int:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from nimprep import __version__
 from nimprep.conversion.joining import Chunks, StoreChunks, depth_counts, join_shards
-from nimprep.conversion.kinds import check_alike, padded_size, shard_length
+from nimprep.conversion.kinds import check_alike, normal_dtype, padded_size, shard_length
 from nimprep.conversion.plan import check_apart, local_folder
 from nimprep.conversion.provenance import (
     joined_fixed,
@@ -154,7 +154,7 @@ class _Merge:
             width=max(width for _, width in sizes),
             modalities=first.modalities,
             classes=first.classes,
-            normal_dtype=first.attributes["modalities"].get("normal", {}).get("dtype", "int8"),
+            normal_dtype=normal_dtype(first),
             codec=codec,
             shard_length=shard_length(first),
         )

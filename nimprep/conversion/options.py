@@ -9,11 +9,11 @@ from typing import Literal
 
 from nimprep.derive.modalities import DERIVED, Recipe
 from nimprep.errors import ArrayError
-from nimprep.frame import MODALITIES, modality_name
+from nimprep.modality import MODALITIES, modality_name
 from nimprep.readers import ReaderOptions
 from nimprep.readers.cameras import CameraSource, camera_from_file, camera_from_intrinsics
 from nimprep.splits import SPLIT_RULES
-from nimprep.store.spec import NORMAL_SCALES, PRESETS, SHARD_LENGTH
+from nimprep.store.spec import PRESETS, SHARD_LENGTH
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class ConvertOptions:
     def __post_init__(self) -> None:
         for name, value, allowed in (
             ("codec", self.codec, tuple(PRESETS)),
-            ("normal_dtype", self.normal_dtype, tuple(NORMAL_SCALES)),
+            ("normal_dtype", self.normal_dtype, MODALITIES["normal"].dtypes),
             ("target", self.target, ("road", "lane")),
             ("depth_from", self.depth_from, ("auto", "lidar", "stereo")),
             ("on_error", self.on_error, ("stop", "skip")),

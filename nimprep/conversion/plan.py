@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from nimprep import __version__
 from nimprep.conversion.options import ConvertOptions
-from nimprep.derive.modalities import DERIVED
+from nimprep.derive.modalities import DERIVED, Recipe
 from nimprep.errors import LayoutError, StoreError
-from nimprep.frame import MODALITIES, ON_REQUEST
+from nimprep.modality import MODALITIES, Modality
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.splits import SplitName, assign_splits, splits_from_file
@@ -61,7 +61,9 @@ def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
         A modality is asked for that there is not.
     """
     available = ["rgb", "depth", *DERIVED, *(["label"] if reader.info.classes else [])]
-    asked = options.modalities or tuple(name for name in available if name not in ON_REQUEST)
+    asked = options.modalities or tuple(
+        name for name in available if not MODALITIES[name].on_request
+    )
     for name in asked:
         if name not in available:
             hint = "; it has no labels here" if name == "label" else ""
@@ -117,6 +119,14 @@ def frame_metadata(reader: Reader, ids: Sequence[str]) -> dict[str, Any]:
     return columns
 
 
+def describe_modalities(modalities: Iterable[Modality], recipe: Recipe) -> dict[str, Any]:
+    """Return what a store's attributes say of its modalities, as it holds them."""
+    return {
+        m.name: {**recipe.describe(m.name), **({"dtype": m.dtype} if m.dtypes else {})}
+        for m in modalities
+    }
+
+
 def describe(
     reader: Reader, layout: StoreLayout, options: ConvertOptions, ids: Sequence[str]
 ) -> dict[str, Any]:
@@ -131,16 +141,13 @@ def describe(
     fixed: dict[str, list[str]] = {}
     for frame_id, split in fixed_splits(reader, ids).items():
         fixed.setdefault(split, []).append(frame_id)
-    modalities: dict[str, Any] = {m: options.recipe.describe(m) for m in layout.modalities}
-    if "normal" in modalities:
-        modalities["normal"]["dtype"] = layout.normal_dtype
     margins = reader.margins if isinstance(reader, CroppedReader) else Margins(0, 0, 0, 0)
     return {
         "format_version": FORMAT_VERSION,
         "tool_version": __version__,
         "dataset": reader.info.name,
         "classes": [{"id": c.id, "name": c.name, "color": list(c.color)} for c in layout.classes],
-        "modalities": modalities,
+        "modalities": describe_modalities(map(layout.modality, layout.modalities), options.recipe),
         "calibration": {"origin": reader.info.calibration},
         "crop": asdict(margins),
         "codec": layout.codec,

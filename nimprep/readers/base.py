@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from nimprep.frame import MODALITIES, Frame, LabelClass
+from nimprep.frame import Frame, LabelClass
+from nimprep.modality import MODALITIES
 from nimprep.splits import SplitName
 
 CalibrationOrigin = Literal["file", "nominal", "user"]

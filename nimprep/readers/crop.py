@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
-from nimprep.frame import MODALITIES, Frame
+from nimprep.frame import Frame
+from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, Reader
 from nimprep.splits import SplitName
 

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
-from nimprep.frame import MODALITIES, Frame
+from nimprep.frame import Frame
 from nimprep.images import read_depth, read_header, read_label, read_rgb
+from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo
 from nimprep.readers.cameras import (
     CameraSource,

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
-from nimprep.frame import IGNORE_LABEL, MODALITIES, Frame, LabelClass
+from nimprep.frame import IGNORE_LABEL, Frame, LabelClass
 from nimprep.images import read_header, read_rgb
 from nimprep.kitti.calibration import Calibration, read_calibration
 from nimprep.kitti.depth import (
@@ -35,6 +35,7 @@ from nimprep.kitti.depth import (
 from nimprep.kitti.images import read_ground_truth
 from nimprep.kitti.layout import RoadFiles, list_road_files
 from nimprep.kitti.names import TARGETS, Target, frame_category
+from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo
 from nimprep.splits import SplitName
 

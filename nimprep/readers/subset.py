@@ -6,7 +6,8 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
-from nimprep.frame import MODALITIES, Frame
+from nimprep.frame import Frame
+from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, Reader
 from nimprep.splits import SplitName
 

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
-from nimprep.frame import PLANES, Frame
+from nimprep.frame import Frame
+from nimprep.modality import MODALITIES
 from nimprep.store.buffers import empty
 from nimprep.store.images import ImageArray
-from nimprep.store.spec import NORMAL_SCALES
 
 MAX_DEPTH_M = 65.535
 """The farthest depth a store can say, metres; what is farther is stored as none."""
@@ -34,15 +34,15 @@ def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.flo
 
 
 def plane_from_integers(name: str, stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return an image of `PLANES`, (H, W) integers, as float32 pixels or metres.
+    """Return an image of numbers, (H, W) integers, as float32 in the modality's units.
 
     Where there is none: 0 if the integers are unsigned, NaN if they are signed.
     """
-    plane = PLANES[name]
+    modality = MODALITIES[name]
     numbers = empty(stored.shape, np.float32)
-    np.divide(stored, np.float32(plane.steps), out=numbers, dtype=np.float32)
-    if plane.none:
-        numbers[stored == plane.none] = np.nan
+    np.divide(stored, np.float32(modality.steps), out=numbers, dtype=np.float32)
+    if modality.fill:
+        numbers[stored == modality.fill] = np.nan
     return numbers
 
 
@@ -51,7 +51,8 @@ def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDAr
     from nimprep.derive.kernels import quantisation
 
     out = np.empty(normal.shape, dtype=dtype)
-    quantisation.normals_to_integers(normal, np.float32(NORMAL_SCALES[dtype]), out)
+    steps = MODALITIES["normal"].as_dtype(dtype).steps
+    quantisation.normals_to_integers(normal, np.float32(steps), out)
     return out
 
 

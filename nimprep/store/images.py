@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
-from nimprep.frame import MAX_PIXELS
+from nimprep.frame import MAX_PIXELS, LabelClass
+from nimprep.modality import Modality
 from nimprep.store.buffers import empty
 from nimprep.store.metadata import ROOT, read_document
 from nimprep.store.shards import (
@@ -24,7 +25,7 @@ from nimprep.store.shards import (
     read_chunk,
     read_index,
 )
-from nimprep.store.spec import MAX_FRAMES, ArraySpec
+from nimprep.store.spec import MAX_FRAMES, ArraySpec, image_spec
 from nimprep.store.storage import LocalStorage, Storage
 
 Index = npt.NDArray[np.uint64]
@@ -43,10 +44,10 @@ class ImageArray:
     ----------
     storage : Storage
         Of the store.
-    name : str
-        The modality.
-    spec : ArraySpec
-        What the format says of it.
+    modality : Modality
+        As this store holds it.
+    classes : tuple of LabelClass
+        The store's.
     document : dict, optional
         The array's metadata, where it has been read already.
 
@@ -59,12 +60,13 @@ class ImageArray:
     def __init__(
         self,
         storage: Storage,
-        name: str,
-        spec: ArraySpec,
+        modality: Modality,
+        classes: tuple[LabelClass, ...] = (),
         document: dict[str, Any] | None = None,
     ) -> None:
-        self.name = name
-        self.spec = spec
+        self.modality = modality
+        self.name = name = modality.name
+        self.spec = spec = image_spec(modality, classes)
         self._storage = storage
         self._root = storage.root if isinstance(storage, LocalStorage) else None
         document = document or read_document(storage, f"{name}/{ROOT}")

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
-from nimprep.frame import MODALITIES, Frame, LabelClass
+from nimprep.frame import Frame, LabelClass
 from nimprep.schema import check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
 from nimprep.store.frames import StoredFrame, check_size
@@ -21,7 +21,7 @@ from nimprep.store.images import ImageArray
 from nimprep.store.location import Place, location_from, storage_from
 from nimprep.store.memory import table_key
 from nimprep.store.metadata import ROOT, consolidated, read_document, read_root
-from nimprep.store.spec import TABLE_SHAPES, TABLES, image_specs
+from nimprep.store.spec import TABLE_SHAPES, TABLES, stored_modalities
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.tables import LARGEST_CHUNK, decode_table
 
@@ -139,10 +139,8 @@ class Store:
         self.classes = tuple(
             LabelClass(c["id"], c["name"], tuple(c["color"])) for c in self.attributes["classes"]
         )
-        stored = tuple(m for m in MODALITIES if m in self.attributes["modalities"])
-        normal_dtype = self.attributes["modalities"].get("normal", {}).get("dtype", "int8")
-        specs = image_specs(self.classes, normal_dtype)
-        self.modalities = stored if modalities is None else tuple(modalities)
+        stored = stored_modalities(self.attributes["modalities"])
+        self.modalities = tuple(stored if modalities is None else modalities)
         for name in self.modalities:
             if name not in stored:
                 raise StoreError(
@@ -152,7 +150,7 @@ class Store:
         self.tables = read_tables(storage, copies)
         self.ids = self.tables.frame_id
         self.arrays = {
-            name: ImageArray(storage, name, specs[name], copies.get(name))
+            name: ImageArray(storage, stored[name], self.classes, copies.get(name))
             for name in self.modalities
         }
         for name, array in self.arrays.items():

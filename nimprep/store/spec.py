@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from nimprep.errors import StoreError
-from nimprep.frame import IGNORE_LABEL, ON_REQUEST, PLANES, LabelClass
+from nimprep.frame import LabelClass
+from nimprep.modality import MODALITIES, Modality
 from nimprep.splits import SPLIT_CODES
 
 FORMAT_VERSION = "1.0"
 
-NORMAL_SCALES = {"int8": 127, "int16": 32767}
-"""A stored normal component is the component times this, rounded."""
-
 COORDINATES = "frame_id split group"
+
+NORMAL_SCALES = {d: MODALITIES["normal"].as_dtype(d).steps for d in MODALITIES["normal"].dtypes}
+"""Kept for a release, for those who import it: `nimprep.modality` says it."""
 
 
 @dataclass(frozen=True)
@@ -47,91 +49,37 @@ class ChunkCodec:
     configuration: dict[str, Any]
 
 
-def image_specs(classes: tuple[LabelClass, ...], normal_dtype: str) -> dict[str, ArraySpec]:
-    """Return the image arrays a store of these classes can hold, by modality."""
-    color = ("frame", "y", "x", "channel")
-    plane = ("frame", "y", "x")
-    coordinates = {"coordinates": COORDINATES}
-    ids = [c.id for c in classes]
-    meanings = [c.name.replace(" ", "_") for c in classes]
+def stored_modalities(described: Mapping[str, Any]) -> dict[str, Modality]:
+    """Return the modalities that a store's attributes describe, as it holds them, in order."""
     return {
-        "rgb": ArraySpec(
-            color,
-            "uint8",
-            0,
-            {"long_name": "colour", "channels": ["red", "green", "blue"], **coordinates},
-        ),
-        "depth": ArraySpec(
-            plane,
-            "uint16",
-            0,
-            {
-                "long_name": "depth along the optical axis",
-                "units": "m",
-                "scale_factor": 0.001,
-                "_FillValue": 0,
-                **coordinates,
-            },
-        ),
-        "normal": ArraySpec(
-            color,
-            normal_dtype,
-            0,
-            {
-                "long_name": "unit surface normal in the camera frame, towards the camera",
-                "units": "1",
-                "scale_factor": 1 / NORMAL_SCALES[normal_dtype],
-                "channels": ["x right", "y down", "z forward"],
-                "comment": "(0, 0, 0) where there is no depth",
-                **coordinates,
-            },
-        ),
-        "hha": ArraySpec(
-            color,
-            "uint8",
-            0,
-            {
-                "long_name": "HHA",
-                "channels": [
-                    "horizontal disparity",
-                    "height above ground",
-                    "angle with gravity",
-                ],
-                **coordinates,
-            },
-        ),
-        **{name: _plane_spec(name) for name in ON_REQUEST},
-        "label": ArraySpec(
-            plane,
-            "uint8",
-            IGNORE_LABEL,
-            {
-                "long_name": "class",
-                "flag_values": [*ids, IGNORE_LABEL],
-                "flag_meanings": " ".join([*meanings, "ignore"]),
-                **coordinates,
-            },
-        ),
+        name: modality.as_dtype(described[name].get("dtype", modality.dtype))
+        for name, modality in MODALITIES.items()
+        if name in described
     }
 
 
-_PLANE_NAMES = {
-    "disparity": "disparity of a rectified stereo pair",
-    "transformed_disparity": "disparity less the road's own",
-    "elevation": "height over the road's plane",
-}
-
-
-def _plane_spec(name: str) -> ArraySpec:
-    plane = PLANES[name]
-    attributes = {
-        "long_name": _PLANE_NAMES[name],
-        "units": plane.units,
-        "scale_factor": 1 / plane.steps,
-        "_FillValue": plane.none,
-        "coordinates": COORDINATES,
-    }
-    return ArraySpec(("frame", "y", "x"), plane.dtype, plane.none, attributes)
+def image_spec(modality: Modality, classes: tuple[LabelClass, ...]) -> ArraySpec:
+    """Return the array of a modality in a store of these classes."""
+    attributes: dict[str, Any] = {"long_name": modality.long_name}
+    if modality.units:
+        attributes["units"] = modality.units
+    if modality.steps > 1:
+        attributes["scale_factor"] = 1 / modality.steps
+    if modality.values == "numbers":
+        attributes["_FillValue"] = modality.fill
+    if modality.channels:
+        attributes["channels"] = list(modality.channels)
+    if modality.comment:
+        attributes["comment"] = modality.comment
+    if modality.values == "classes":
+        names = [c.name.replace(" ", "_") for c in classes]
+        attributes["flag_values"] = [*(c.id for c in classes), modality.fill]
+        attributes["flag_meanings"] = " ".join([*names, "ignore"])
+    attributes["coordinates"] = COORDINATES
+    dims = ("frame", "y", "x", "channel")
+    return ArraySpec(
+        dims if modality.channels else dims[:3], modality.dtype, modality.fill, attributes
+    )
 
 
 TABLES: dict[str, ArraySpec] = {

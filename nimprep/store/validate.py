@@ -22,7 +22,7 @@ from nimprep.store.location import Place, storage_from
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, consolidated, read_attributes, read_document
 from nimprep.store.reader import Store
-from nimprep.store.spec import TABLE_SHAPES, TABLES, ArraySpec, image_specs
+from nimprep.store.spec import TABLE_SHAPES, TABLES, ArraySpec
 from nimprep.store.storage import Storage
 from nimprep.store.tables import check_table
 
@@ -232,8 +232,7 @@ def _check_camera(store: Store, number: int, report: Report) -> None:
 
 def check_arrays(store: Store, report: Report) -> None:
     """Check every array's dimensions, codecs and attributes, and every shard's index."""
-    dtype = store.attributes["modalities"].get("normal", {}).get("dtype", "int8")
-    specs = image_specs(store.classes, dtype) | TABLES
+    specs = {name: array.spec for name, array in store.arrays.items()} | TABLES
     for name in [*store.modalities, *TABLES]:
         found = _attributes(store.storage, name, specs[name])
         for key, value in specs[name].attributes.items():

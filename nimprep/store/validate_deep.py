@@ -13,10 +13,10 @@ import numpy.typing as npt
 from nimprep.derive.modalities import DERIVED, derive, fill_frame, recipe_from
 from nimprep.derive.threads import available_cores
 from nimprep.errors import NimprepError
-from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, ON_REQUEST, PLANES, Frame
+from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, ON_REQUEST, Frame
+from nimprep.modality import MODALITIES
 from nimprep.store.frames import depth_from_millimetres, normals_to_integers
 from nimprep.store.reader import Store
-from nimprep.store.spec import NORMAL_SCALES
 from nimprep.store.statistics import channel_sums
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def _normal_problems(
     problems = []
     square = np.einsum("hwc,hwc->hw", normal, normal, dtype=np.float64)
     some = square > 0
-    scale = NORMAL_SCALES[str(normal.dtype)]
+    scale = MODALITIES["normal"].as_dtype(str(normal.dtype)).steps
     # Rounding moves each component by half a step at most, so the length by sqrt(3) / 2.
     off = np.abs(np.sqrt(square) - scale) > np.sqrt(3) / 2 + 1e-6
     if (off & some).any():
@@ -140,7 +140,7 @@ def _plane_problems(store: Store, images: dict[str, npt.NDArray[Any]]) -> list[s
     for name in ON_REQUEST:
         if name not in images:
             continue
-        some, depth = images[name] != PLANES[name].none, images["depth"] > 0
+        some, depth = images[name] != MODALITIES[name].fill, images["depth"] > 0
         wrong = depth & ~some if filled else depth != some
         if wrong.any() and (name == "disparity" or some.any()):
             problems.append(

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from nimprep.errors import StoreError
 from nimprep.frame import LabelClass
+from nimprep.modality import MODALITIES, Modality
 from nimprep.store.exchange import exchange
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, read_attributes, sync_folder
@@ -25,7 +26,7 @@ from nimprep.store.spec import (
     ArraySpec,
     ChunkCodec,
     chunk_codec,
-    image_specs,
+    image_spec,
 )
 from nimprep.store.storage import Storage
 
@@ -60,9 +61,13 @@ class StoreLayout:
     codec: str
     shard_length: int
 
+    def modality(self, name: str) -> Modality:
+        """Return a modality as the store is to hold it."""
+        return MODALITIES[name].as_dtype(self.normal_dtype)
+
     def spec(self, modality: str) -> ArraySpec:
         """Return the array a modality is stored in."""
-        return image_specs(self.classes, self.normal_dtype)[modality]
+        return image_spec(self.modality(modality), self.classes)
 
     def chunk_codec(self, modality: str) -> ChunkCodec:
         """Return the codec of a modality's chunks."""
@@ -70,8 +75,7 @@ class StoreLayout:
 
     def image_shape(self, modality: str) -> tuple[int, ...]:
         """Return the shape of one padded image: (height, width) or (height, width, 3)."""
-        color = len(self.spec(modality).dims) == 4
-        return (self.height, self.width, 3) if color else (self.height, self.width)
+        return MODALITIES[modality].image_shape(self.height, self.width)
 
 
 def check_target(target: Path, *, overwrite: bool) -> None:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import strategies as st
 
 from nimprep.errors import StoreError
+from nimprep.modality import MODALITIES
 from nimprep.store.images import ImageArray
 from nimprep.store.reader import open_store
 from nimprep.store.spec import MAX_FRAMES, TABLES
@@ -280,7 +281,7 @@ def test_images_of_a_petabyte_are_refused(made_store: Path) -> None:
     with changed(made_store, {"rgb/zarr.json": whole}):
         use(made_store, "stores, documents")
         with pytest.raises(StoreError, match="rgb"):
-            ImageArray(open_store(made_store, ["label"]).storage, "rgb", None)  # type: ignore[arg-type]
+            ImageArray(open_store(made_store, ["label"]).storage, MODALITIES["rgb"])
 
 
 @pytest.mark.parametrize("number", ["1e999", "-1e999", "NaN", "Infinity"])

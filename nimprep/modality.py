@@ -1,0 +1,153 @@
+"""Modality: everything the tool knows about one kind of image, said once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+Values = Literal["colors", "levels", "vectors", "numbers", "classes"]
+"""What a pixel holds::
+
+    colors   three uint8
+    levels   three uint8; all 0 = none
+    vectors  three integers, a unit vector times the largest there is; all 0 = none
+    numbers  one integer, a number times `steps`; `fill` = none
+    classes  the id of a class
+"""
+
+
+@dataclass(frozen=True)
+class Modality:
+    """Describe one kind of image.
+
+    Attributes
+    ----------
+    name : str
+        Of its array in a store, of its tensors, and in `--modalities`, there with hyphens too.
+    values : Values
+        What a pixel holds.
+    long_name, units, comment : str
+        CF attributes of its array; "" = none.
+    channels : tuple of str
+        What each of three channels holds; empty where there is one.
+    dtype : str
+        Of the stored integers.
+    dtypes : tuple of str
+        What else `dtype` can be in a store (see `as_dtype`); empty = nothing.
+    steps : int
+        Stored integers are the values times this, rounded.
+    fill : int
+        What is stored where there is none, and in the padding.
+    on_request : bool
+        Stored only where it is asked for by name.
+    """
+
+    name: str
+    values: Values
+    long_name: str
+    units: str = ""
+    comment: str = ""
+    channels: tuple[str, ...] = ()
+    dtype: str = "uint8"
+    dtypes: tuple[str, ...] = ()
+    steps: int = 1
+    fill: int = 0
+    on_request: bool = False
+
+    @property
+    def channel_count(self) -> int:
+        """Channels of an image."""
+        return len(self.channels) or 1
+
+    def image_shape(self, height: int, width: int) -> tuple[int, ...]:
+        """Return the shape of an image as it is stored."""
+        return (height, width, len(self.channels)) if self.channels else (height, width)
+
+    def as_dtype(self, dtype: str) -> Modality:
+        """Return the modality of a store that holds it as this; itself where it is never that."""
+        if dtype not in self.dtypes:
+            return self
+        return replace(self, dtype=dtype, steps=int(np.iinfo(dtype).max))
+
+
+MODALITIES: dict[str, Modality] = {
+    modality.name: modality
+    for modality in (
+        Modality(
+            name="rgb",
+            values="colors",
+            long_name="colour",
+            channels=("red", "green", "blue"),
+        ),
+        Modality(
+            name="depth",
+            values="numbers",
+            long_name="depth along the optical axis",
+            units="m",
+            dtype="uint16",
+            steps=1000,
+        ),
+        Modality(
+            name="normal",
+            values="vectors",
+            long_name="unit surface normal in the camera frame, towards the camera",
+            units="1",
+            comment="(0, 0, 0) where there is no depth",
+            channels=("x right", "y down", "z forward"),
+            dtype="int8",
+            dtypes=("int8", "int16"),
+            steps=127,
+        ),
+        Modality(
+            name="hha",
+            values="levels",
+            long_name="HHA",
+            channels=("horizontal disparity", "height above ground", "angle with gravity"),
+        ),
+        Modality(
+            name="disparity",
+            values="numbers",
+            long_name="disparity of a rectified stereo pair",
+            units="pixel",
+            dtype="uint16",
+            # KITTI's own: up to 255.996 pixels, to 0.002. What is nearer is stored as that.
+            steps=256,
+            on_request=True,
+        ),
+        Modality(
+            name="transformed_disparity",
+            values="numbers",
+            long_name="disparity less the road's own",
+            units="pixel",
+            dtype="int16",
+            # As far to either side of the road, to 0.004 pixels: far below what a matcher resolves.
+            steps=128,
+            fill=-32768,
+            on_request=True,
+        ),
+        Modality(
+            name="elevation",
+            values="numbers",
+            long_name="height over the road's plane",
+            units="m",
+            dtype="int16",
+            steps=1000,
+            fill=-32768,
+            on_request=True,
+        ),
+        Modality(
+            name="label",
+            values="classes",
+            long_name="class",
+            fill=255,
+        ),
+    )
+}
+"""Every image a frame can hold, in the order in which they are listed everywhere."""
+
+
+def modality_name(name: str) -> str:
+    """Return a modality's name as arrays have it, from a spelling with hyphens as well."""
+    return name.strip().replace("-", "_")

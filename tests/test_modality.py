@@ -1,0 +1,60 @@
+"""The record of each modality, and that what else names modalities agrees with it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nimprep import frame
+from nimprep.modality import MODALITIES, Modality
+from nimprep.schema import load_schema
+from nimprep.store.spec import NORMAL_SCALES, image_spec, stored_modalities
+
+SCHEMAS = Path(__file__).parent.parent / "schemas"
+
+
+def test_the_attributes_schema_knows_every_modality_and_no_other() -> None:
+    known = load_schema("store")["properties"]["modalities"]["properties"]
+    assert list(known) == list(MODALITIES)
+    for name, modality in MODALITIES.items():
+        choices = known[name].get("properties", {}).get("dtype", {}).get("enum", [])
+        assert tuple(choices) == modality.dtypes
+        assert ("dtype" in known[name].get("required", [])) == bool(modality.dtypes)
+
+
+@pytest.mark.parametrize("modality", MODALITIES.values(), ids=lambda m: m.name)
+def test_the_formats_page_has_a_row_of_every_modality(modality: Modality) -> None:
+    page = (SCHEMAS / "README.md").read_text()
+    row = re.search(rf"^\| `{modality.name}` \| (.*?) \| (.*?) \|", page, re.MULTILINE)
+    assert row is not None
+    dtypes = modality.dtypes or (modality.dtype,)
+    assert row[1] == ", ".join(image_spec(modality, ()).dims)
+    assert row[2] == " or ".join(dtypes)
+
+
+@pytest.mark.parametrize("modality", MODALITIES.values(), ids=lambda m: m.name)
+def test_a_fill_value_is_one_that_the_integers_can_be(modality: Modality) -> None:
+    for dtype in modality.dtypes or (modality.dtype,):
+        limits = np.iinfo(modality.as_dtype(dtype).dtype)
+        assert limits.min <= modality.fill <= limits.max
+
+
+def test_normals_have_the_steps_of_the_dtype_that_a_store_holds_them_in() -> None:
+    held = stored_modalities({"normal": {"dtype": "int16"}, "rgb": {}})
+    assert list(held) == ["rgb", "normal"]
+    assert (held["normal"].dtype, held["normal"].steps) == ("int16", 32767)
+    assert held["rgb"] is MODALITIES["rgb"]
+    assert MODALITIES["normal"].as_dtype("int8") == MODALITIES["normal"]
+    assert MODALITIES["elevation"].as_dtype("int8") is MODALITIES["elevation"]
+
+
+def test_the_names_of_the_release_before_are_still_there() -> None:
+    assert tuple(MODALITIES) == frame.MODALITIES
+    assert frame.ON_REQUEST == ("disparity", "transformed_disparity", "elevation")
+    assert frame.PLANES["elevation"] == frame.Plane("int16", 1000, "m", -32768)
+    assert list(frame.PLANES) == ["depth", *frame.ON_REQUEST]
+    assert frame.modality_name(" transformed-disparity") == "transformed_disparity"
+    assert NORMAL_SCALES == {"int8": 127, "int16": 32767}
