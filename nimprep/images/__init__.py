@@ -1,8 +1,9 @@
 """Decode one image file, with every doubt about it turned into a `DecodeError`.
 
 PNG, JPEG, TIFF, BMP, WebP, PNM and PFM through OpenCV, .npy through NumPy. What an image claims to
-be is read here, before OpenCV sees it: a size that cannot be costs no memory, what is cut or
-damaged is named, and decoders of formats that nobody needs here get no input at all.
+be is read here, before OpenCV sees it (PNG and JPEG strictly, the others by Pillow's parsers): a
+size that cannot be costs no memory, what is cut or damaged is named, and decoders of formats that
+nobody needs here get no input at all.
 
 The libraries below OpenCV (libpng, libjpeg) print some complaints on the process's stderr. What
 they would complain of in files that are cut or damaged by accident is found here first; in files

@@ -13,17 +13,14 @@ import numpy.typing as npt
 from nimprep.errors import DecodeError
 from nimprep.files import read_file, read_start
 from nimprep.frame import MAX_PIXELS
-from nimprep.images import jpeg, plain, png, tiff
+from nimprep.images import jpeg, pillow, png
 from nimprep.images.array import ArrayHeader, read_array, read_array_header
 from nimprep.images.header import MAX_BYTES, ImageHeader, broken, check_header
 
 _FORMATS: dict[bytes, Callable[[bytes, Path], ImageHeader]] = {
     png.SIGNATURE: png.png_header,
     jpeg.SIGNATURE: lambda data, path: jpeg.jpeg_outline(data, path).header,
-    **dict.fromkeys(tiff.SIGNATURES, tiff.tiff_header),
-    b"BM": plain.bmp_header,
-    b"RIFF": plain.webp_header,
-    **dict.fromkeys((b"P%c" % kind for kind in b"123456fF"), plain.pnm_header),
+    **dict.fromkeys(pillow.SIGNATURES, pillow.pillow_header),
 }
 
 
@@ -93,7 +90,7 @@ def _read_image(path: Path, *, color: bool = False) -> npt.NDArray[Any]:
     if data.startswith(jpeg.SIGNATURE) and jpeg.may_be_cut(image):
         _check_jpeg_end(data, image, path, color=color)
     # OpenCV spreads the values of 1, 2 and 4 bits over 0-255.
-    few = header.bits < 8 and image.ndim == 2
+    few = header.bits < 8 and image.ndim == 2 and image.dtype == np.uint8
     return image // np.uint8(255 // ((1 << header.bits) - 1)) if few else image
 
 
