@@ -24,7 +24,7 @@ def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uin
     from nimprep.derive.kernels import quantisation
 
     out = np.empty(depth_m.shape, np.uint16)
-    quantisation.metres_to_millimetres(np.ascontiguousarray(depth_m), out)
+    quantisation.metres_to_millimetres(np.ascontiguousarray(depth_m, np.float32), out)
     return out
 
 
@@ -52,7 +52,8 @@ def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDAr
 
     out = np.empty(normal.shape, dtype=dtype)
     steps = MODALITIES["normal"].as_dtype(dtype).steps
-    quantisation.normals_to_integers(normal, np.float32(steps), out)
+    vectors = np.ascontiguousarray(normal, np.float32)
+    quantisation.normals_to_integers(vectors, np.float32(steps), out)
     return out
 
 
@@ -61,7 +62,7 @@ def normals_from_integers(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     from nimprep.derive.kernels import quantisation
 
     out = empty(stored.shape, np.float32)
-    quantisation.normals_from_integers(stored, out)
+    quantisation.normals_from_integers(np.ascontiguousarray(stored), out)
     return out
 
 

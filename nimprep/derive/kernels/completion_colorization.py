@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32, float64, int32, njit, types, void
+from numba import float32, float64, int32, types, void
+
+from nimprep.compilation.decorator import kernel
 
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
 _LEAST_VARIANCE = 0.000002
 _LEAST_WEIGHT = 0.01
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _neighbour_weights(gray, v, u, weights):
     """Write the weight of each pixel of the 3x3 window, 0 for the centre and outside the image."""
     height, width = gray.shape
@@ -45,7 +47,7 @@ def _neighbour_weights(gray, v, u, weights):
         weights[i] /= total
 
 
-@njit(
+@kernel(
     void(
         _DEPTH,
         float64[:, ::1],
@@ -55,10 +57,7 @@ def _neighbour_weights(gray, v, u, weights):
         int32[::1],
         float64[::1],
         float64[::1],
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    )
 )
 def colorization_equations(depth, gray, index, alpha, starts, columns, values, right):
     """Write the sparse rows (CSR) of the pixels whose index is not negative, in raster order.

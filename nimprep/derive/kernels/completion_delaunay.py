@@ -10,12 +10,14 @@ neighbours in turn about that point: ``after`` counter-clockwise, ``before`` clo
 from __future__ import annotations
 
 import numpy as np
-from numba import int32, int64, njit
+from numba import int32, int64
+
+from nimprep.compilation.decorator import kernel
 
 _GONE = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _turn(points, a, b, c):
     """Return twice the signed area of a, b, c: positive when they turn counter-clockwise."""
     return (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1]) - (
@@ -23,7 +25,7 @@ def _turn(points, a, b, c):
     ) * (points[c, 0] - points[a, 0])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _inside_circle(points, a, b, c, d):
     """Tell whether d lies strictly inside the circle through a, b, c (counter-clockwise)."""
     av, au = points[a, 0] - points[d, 0], points[a, 1] - points[d, 1]
@@ -36,7 +38,7 @@ def _inside_circle(points, a, b, c, d):
     ) > 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _new_edge(edges, free, a, b):
     """Take an edge from a to b off the stack of free ones; returns its directed edge at a."""
     free[0] -= 1
@@ -47,7 +49,7 @@ def _new_edge(edges, free, a, b):
     return e
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _splice(edges, a, b):
     """Join or part the rings of edges that a and b belong to."""
     after_a, after_b = edges[a, 1], edges[b, 1]
@@ -55,7 +57,7 @@ def _splice(edges, a, b):
     edges[after_a, 2], edges[after_b, 2] = b, a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _connect(edges, free, a, b):
     """Add the edge from the end of a to the start of b, in the face to their left."""
     e = _new_edge(edges, free, edges[a ^ 1, 0], edges[b, 0])
@@ -64,7 +66,7 @@ def _connect(edges, free, a, b):
     return e
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _delete(edges, free, e):
     _splice(edges, e, edges[e, 2])
     _splice(edges, e ^ 1, edges[e ^ 1, 2])
@@ -73,7 +75,7 @@ def _delete(edges, free, e):
     free[free[0]] = e
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _leaf(points, edges, free, first, count):
     """Triangulate 2 or 3 points; returns the outer edges at the first and at the last point."""
     a = _new_edge(edges, free, first, first + 1)
@@ -88,7 +90,7 @@ def _leaf(points, edges, free, first, count):
     return (a, b ^ 1) if turn > 0 else (c ^ 1, c)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _lower_tangent(points, edges, left_inner, right_inner):
     """Walk both hulls down to the edge that has all points on one side."""
     while True:
@@ -101,7 +103,7 @@ def _lower_tangent(points, edges, left_inner, right_inner):
             return left_inner, right_inner
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _candidate(points, edges, free, base, side):
     """Find the edge on one side of the base that goes on, deleting those it makes impossible.
 
@@ -121,7 +123,7 @@ def _candidate(points, edges, free, base, side):
         edge = following
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _merge(points, edges, free, ends):
     """Join two neighbouring triangulations; returns the outer edges of the whole."""
     left_outer, left_inner, right_inner, right_outer = ends
@@ -148,7 +150,7 @@ def _merge(points, edges, free, ends):
             base = _connect(edges, free, base ^ 1, left ^ 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _collect(points, edges, out):
     """List the face to the left of every edge once, less the outer one."""
     found = 0
@@ -166,12 +168,7 @@ def _collect(points, edges, out):
     return found
 
 
-@njit(
-    int64(int64[:, ::1], int32[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(int64(int64[:, ::1], int32[:, ::1]))
 def triangulate(points, out):
     """Write the triangles of n >= 2 points (n, 2) to ``out`` (2 n, 3) and return their number.
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from numba import float32, int32, int64, njit, types, void
+from numba import float32, int32, int64, types, void
+
+from nimprep.compilation.decorator import kernel
 
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
 
 
-@njit(int64(_DEPTH, int64[:, ::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(int64(_DEPTH, int64[:, ::1]))
 def border_points(depth, out):
     """Write v, u of the known pixels with an unknown one beside, above or below; count them.
 
@@ -30,7 +32,7 @@ def border_points(depth, out):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _clip_span(points, a, b, v, span):
     """Cut a span of columns to the left side of the directed edge a to b, both ends included."""
     dv = points[b, 0] - points[a, 0]
@@ -45,12 +47,7 @@ def _clip_span(points, a, b, v, span):
     return low, high
 
 
-@njit(
-    void(_DEPTH, int64[:, ::1], int32[:, ::1], int64, int64, int64, float32[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_DEPTH, int64[:, ::1], int32[:, ::1], int64, int64, int64, float32[:, ::1]))
 def fill_triangles(depth, points, triangles, count, first, last, out):
     """Interpolate depth over ``count`` triangles in the unknown pixels of rows first..last-1."""
     for t in range(count):

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int32, int64, njit, types, void
+from numba import float32, int32, int64, types, void
+
+from nimprep.compilation.decorator import kernel
 
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
 _NONE = -1
 
 
-@njit(
-    void(_DEPTH, int64, int64, int32[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_DEPTH, int64, int64, int32[:, ::1]))
 def nearest_rows(depth, first, last, out):
     """Write the row of the nearest known pixel of the same column, for columns first..last-1.
 
@@ -34,7 +31,7 @@ def nearest_rows(depth, first, last, out):
                 out[v, u] = below
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _drop_hidden(columns, starts, squares, kept, u):
     """Take from the envelope the parabolas above the one at column u from their start on."""
     while kept > 0:
@@ -45,12 +42,7 @@ def _drop_hidden(columns, starts, squares, kept, u):
     return kept
 
 
-@njit(
-    void(_DEPTH, int32[:, ::1], int64, int64, float32[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_DEPTH, int32[:, ::1], int64, int64, float32[:, ::1]))
 def fill_nearest(depth, rows, first, last, out):
     """Write the depth of the nearest known pixel to the unknown ones of rows first..last-1.
 

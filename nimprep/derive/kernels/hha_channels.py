@@ -6,8 +6,9 @@ Lengths in centimetres, as the channels count them.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, int64, njit, types, uint8, void
+from numba import float32, float64, int64, types, uint8, void
 
+from nimprep.compilation.decorator import kernel
 from nimprep.derive.kernels.hha_planes import decimal_depth
 
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
@@ -16,12 +17,7 @@ _VECTOR = types.UniTuple(float64, 3)
 _FLOOR_LEVEL = np.uint8(38)
 
 
-@njit(
-    float64(_DEPTH, int64, int64, _CAMERA, _VECTOR),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(float64(_DEPTH, int64, int64, _CAMERA, _VECTOR))
 def lowest_block(depth, first, last, camera, down):
     """Return the least height, -down·P in cm, of rows first..last-1; +inf without any depth."""
     fx, fy, cx, cy = camera
@@ -37,7 +33,7 @@ def lowest_block(depth, first, last, camera, down):
     return lowest.min()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _point_row(depth, v, camera, down, lowest, out_disparity, out_height):
     """Write the channels of the points of one row."""
     fx, fy, cx, cy = camera
@@ -49,7 +45,7 @@ def _point_row(depth, v, camera, down, lowest, out_disparity, out_height):
         out_height[u] = np.rint(height - lowest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _angle_row(x, y, z, gravity, table, thresholds, cosines, out):
     """Write the angle's channel of one row.
 
@@ -66,7 +62,7 @@ def _angle_row(x, y, z, gravity, table, thresholds, cosines, out):
         out[u] = level + 1 if cosines[u] < thresholds[level] else level
 
 
-@njit(
+@kernel(
     void(
         _DEPTH,
         float64[:, :, ::1],
@@ -78,10 +74,7 @@ def _angle_row(x, y, z, gravity, table, thresholds, cosines, out):
         float64,
         types.Tuple((uint8[::1], float64[::1])),
         uint8[:, :, ::1],
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    )
 )
 def encode_block(depth, normals, first, last, camera, gravity, down, lowest, angle_levels, out):
     """Write HHA of rows first..last-1, whose normals are given; (0, 0, 0) where depth is 0.

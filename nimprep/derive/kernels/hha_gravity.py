@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from numba import float64, int64, njit, types, void
+from numba import float64, int64, types, void
+
+from nimprep.compilation.decorator import kernel
 
 _VECTOR = types.UniTuple(float64, 3)
 
 
 # reassoc lets the sums run in several lanes; NaN and infinity keep their meaning.
-@njit(
+@kernel(
     void(float64[:, :, ::1], int64, int64, _VECTOR, float64, float64, float64[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
     fastmath={"reassoc", "contract"},
 )
 def wall_minus_floor(normals, first, last, gravity, floor_above, wall_below, out):

@@ -8,8 +8,9 @@ operations in the same order give the same pixels, so this module keeps to them.
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, int64, njit, types, void
+from numba import float64, int64, types, void
 
+from nimprep.compilation.decorator import kernel
 from nimprep.derive.kernels.hha_planes import decimal_depth
 
 _DEPTH = types.Array(types.float32, 2, "C", readonly=True)
@@ -17,13 +18,13 @@ _CAMERA = types.UniTuple(float64, 4)
 _RADIUS = 3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _centimetres(depth):
     # The reference's port goes to centimetres, back to metres and to centimetres again.
     return decimal_depth(depth) * 100 / 100 * 100
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _point_terms(z, v, u, camera, out):
     """Write the nine terms that one point adds to AᵀA (upper triangle) and Aᵀb."""
     fx, fy, cx, cy = camera
@@ -37,7 +38,7 @@ def _point_terms(z, v, u, camera, out):
     out[6], out[7], out[8] = x / z_z, y / z_z, 1 / z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _count_columns(inverse, v, counts):
     """Count the points of each column in the rows of the windows around row v."""
     counts[:] = 0
@@ -46,7 +47,7 @@ def _count_columns(inverse, v, counts):
             counts[u] += inverse[row, u] > 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _sum_window(depth, inverse, v, u, camera, terms, sums):
     """Sum the terms of the window around (v, u) row by row."""
     height, width = inverse.shape
@@ -59,7 +60,7 @@ def _sum_window(depth, inverse, v, u, camera, terms, sums):
                     sums[term] += terms[term]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _solve(sums):
     """Return adj(AᵀA) Aᵀb, not normalised."""
     a0, a1, a2, a3, a4, a5 = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
@@ -77,7 +78,7 @@ def _solve(sums):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _towards_scene(x, y, n, z, v, u, camera):
     """Normalise and point away from the camera: first by n_z, then by n·P."""
     fx, fy, cx, cy = camera
@@ -92,12 +93,7 @@ def _towards_scene(x, y, n, z, v, u, camera):
     return x, y, n
 
 
-@njit(
-    void(_DEPTH, float64[:, ::1], int64, int64, _CAMERA, float64[:, :, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_DEPTH, float64[:, ::1], int64, int64, _CAMERA, float64[:, :, ::1]))
 def reference_normals(depth, inverse, first, last, camera, normals):
     """Replace the missing ones (0, 0, 0) among the radius-3 normals of rows first..last-1."""
     width = depth.shape[1]

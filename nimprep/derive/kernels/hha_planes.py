@@ -10,7 +10,9 @@ one line (determinant 0) from all others without a tolerance.
 from __future__ import annotations
 
 import numpy as np
-from numba import boolean, float32, float64, int64, njit, types, void
+from numba import boolean, float32, float64, int64, types, void
+
+from nimprep.compilation.decorator import kernel
 
 # Callers' arrays may be read-only; these types take both kinds.
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
@@ -18,7 +20,7 @@ _MASK = types.Array(boolean, 2, "C", readonly=True)
 _CAMERA = types.UniTuple(float64, 4)
 
 
-@njit(float64(float32), cache=True, nogil=True, error_model="numpy")
+@kernel(float64(float32))
 def decimal_depth(depth):
     """Read float32 metres as the multiple of 0.1 mm they were made from, where they were.
 
@@ -30,12 +32,7 @@ def decimal_depth(depth):
     return decimal if np.float32(decimal) == depth else np.float64(depth)
 
 
-@njit(
-    void(_DEPTH, _MASK, int64, int64, float64[:, ::1], int64[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_DEPTH, _MASK, int64, int64, float64[:, ::1], int64[::1]))
 def inverse_depth(depth, missing, first, last, out, near_far):
     """Write 1/Z of rows first..last-1 (0 where no point counts) and count the depths.
 
@@ -54,7 +51,7 @@ def inverse_depth(depth, missing, first, last, out, near_far):
     near_far[2] = far
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _add_row(inverse, v, sign, columns):
     """Add one row (sign 1), or take it away (-1), to the column sums of w, vw, 1, v, v²."""
     for u in range(inverse.shape[0]):
@@ -67,7 +64,7 @@ def _add_row(inverse, v, sign, columns):
         columns[4, u] += one * v * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _sum_windows(columns, radius, sums):
     """Run along the columns: sums of w, uw, vw, 1, u, u², v, uv, v² of every window of a row."""
     width = columns.shape[1]
@@ -115,7 +112,7 @@ def _sum_windows(columns, radius, sums):
         sums[6, u], sums[7, u], sums[8, u] = nv, nuv, nvv
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _solve_row(sums, dv, v, camera, out_x, out_y, out_z):
     """Solve each window's normal equations for the plane's unit normal.
 
@@ -154,12 +151,7 @@ def _solve_row(sums, dv, v, camera, out_x, out_y, out_z):
         out_z[u] = z * scale
 
 
-@njit(
-    void(float64[:, ::1], int64, int64, int64, _CAMERA, float64[:, :, ::1], int64),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(float64[:, ::1], int64, int64, int64, _CAMERA, float64[:, :, ::1], int64))
 def plane_block(inverse, first, last, radius, camera, out, out_first):
     """Write the unit normals of rows first..last-1 to out[:, first - out_first ...].
 

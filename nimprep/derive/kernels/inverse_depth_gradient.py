@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from nimprep.compilation.decorator import kernel
 
 ZERO = np.float32(0)
 HALF = np.float32(0.5)
@@ -49,20 +50,20 @@ Image = npt.NDArray[np.float32]
 Noise = tuple[np.float32, np.float32]
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def noise_floor(r: np.float32, variance: np.float32, quartic: np.float32) -> np.float32:
     """Return the variance of inverse depth r: constant, growing with r^4, and rounding's."""
     r2 = r * r
     return variance + r2 * (ROUNDING2 + quartic * r2)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def weight_of(energy: np.float32) -> np.float32:
     """Return 1 / energy to within 12 %, by one subtraction from the bits of a normal float32."""
     return np.int32(INVERSE_BITS - np.float32(energy).view(np.int32)).view(np.float32)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def axis_gradient(
     a: np.float32, b: np.float32, c: np.float32, d: np.float32, e: np.float32, floor: np.float32
 ) -> tuple[np.float32, np.float32]:
@@ -88,7 +89,7 @@ def axis_gradient(
     return total * energy, energy
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def inverse_row(depth: Row, scale: np.float32, inverse: Row) -> None:
     """Write the scaled inverse of a row of depth; 0 where there is none."""
     for u in range(depth.size):
@@ -96,7 +97,7 @@ def inverse_row(depth: Row, scale: np.float32, inverse: Row) -> None:
         inverse[u] = ONE / scaled if depth[u] > ZERO else ZERO
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def gradient_row(
     up2: Row,
     up: Row,

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import float32, float64, int64, njit, void
+from numba import float32, float64, int64, void
+
+from nimprep.compilation.decorator import kernel
 
 SAMPLES = 24
 """Rows and columns of the grid of samples."""
 
 
-@njit(
-    void(float32[:, ::1], int64[::1], int64[::1], float64[::1], float64[:, ::1], float64[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+@kernel(
+    void(float32[:, ::1], int64[::1], int64[::1], float64[::1], float64[:, ::1], float64[:, ::1])
 )
 def second_differences(
     depth_m: npt.NDArray[np.float32],

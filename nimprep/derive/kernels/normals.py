@@ -22,7 +22,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import boolean, float32, float64, int64, njit, void
+from numba import boolean, float32, float64, int64, void
+
+from nimprep.compilation.decorator import kernel
 
 ZERO = np.float32(0)
 ONE = np.float32(1)
@@ -46,7 +48,7 @@ FASTMATH = {"contract", "arcp", "nsz", "reassoc"}
 
 
 # LLVM leaves functions of this size out of line, and does not vectorise a loop with calls in it.
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _gradient(
     left: np.float32,
     right: np.float32,
@@ -69,14 +71,14 @@ def _gradient(
     return n_x * scale, n_y * scale
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _copysign(magnitude: np.float32, sign: np.float32) -> np.float32:
     """Return a magnitude >= 0 with the sign of another number."""
     bits = np.float32(sign).view(np.int32) & SIGN_BIT
     return np.int32(np.float32(magnitude).view(np.int32) | bits).view(np.float32)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _candidate(
     dz: np.float32, e: np.float32, w: np.float32, gradient2: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
@@ -88,7 +90,7 @@ def _candidate(
     return dz * weight, e * weight, dz_n_z * weight
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _tally(
     votes: np.float32,
     positive: tuple[np.float32, np.float32],
@@ -107,7 +109,7 @@ def _tally(
     return votes, (s_positive, e_positive), (s_negative, e_negative)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _majority(
     a: tuple[np.float32, np.float32, np.float32],
     b: tuple[np.float32, np.float32, np.float32],
@@ -126,7 +128,7 @@ def _majority(
     return (s if s > ZERO else s_all), (e if s > ZERO else e_all)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _nim_row(
     left_row: npt.NDArray[np.float32],
     row: npt.NDArray[np.float32],
@@ -178,14 +180,14 @@ def _nim_row(
 
 
 # A loop, as assigning to a slice took three times as long.
-@njit(nogil=True, error_model="numpy", forceinline=True)
+@kernel(inline=True)
 def _copy_row(row: npt.NDArray[np.float32], padded: npt.NDArray[np.float32]) -> None:
     """Copy a row between the first and the last element of `padded`."""
     for u in range(row.size):
         padded[u + 1] = row[u]
 
 
-@njit(
+@kernel(
     void(
         float32[:, ::1],
         int64,
@@ -197,9 +199,6 @@ def _copy_row(row: npt.NDArray[np.float32], padded: npt.NDArray[np.float32]) -> 
         boolean,
         float32[:, ::1],
     ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
     fastmath=FASTMATH,
 )
 def nim_rows(

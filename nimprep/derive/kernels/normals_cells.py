@@ -12,8 +12,9 @@ stride: told from several arrays, whose places LLVM must compare first, it gave 
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int64, njit, void
+from numba import float32, int64, void
 
+from nimprep.compilation.decorator import kernel
 from nimprep.derive.kernels.inverse_depth_gradient import (
     FASTMATH,
     NO_PLANE,
@@ -59,13 +60,7 @@ Noise = tuple[np.float32, np.float32, np.float32]
 Sums = tuple[np.float32, np.float32, np.float32, np.float32, np.float32]
 
 
-@njit(
-    void(float32[:, ::1], int64, int64, int64, float32, float32[:, :, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    fastmath=FASTMATH,
-)
+@kernel(void(float32[:, ::1], int64, int64, int64, float32, float32[:, :, ::1]), fastmath=FASTMATH)
 def cell_means(
     depth_m: Image, row_start: int, row_stop: int, side: int, scale: np.float32, out: Image
 ) -> None:
@@ -106,13 +101,13 @@ def cell_means(
             out[3, row + REACH, i + REACH] = total * per_count if known else ZERO
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _variance_of_mean(r: np.float32, noise: Noise) -> np.float32:
     """Return the variance of a cell's mean; rounding does not average out."""
     return noise[2] * noise_floor(r, noise[0], noise[1]) + ROUNDING2 * (r * r) + TINY
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _centre_row(means: Image, row: int, per_side: np.float32, noise: Noise, out: Image) -> None:
     """Write a row of inverse depth at the cells' centres and of its gradient a cell."""
     centre, g_u, g_v = out[0, row, 2:-2], out[1, row, 2:-2], out[2, row, 2:-2]
@@ -132,11 +127,8 @@ def _centre_row(means: Image, row: int, per_side: np.float32, noise: Noise, out:
         g_v[i] = v
 
 
-@njit(
+@kernel(
     void(float32[:, :, ::1], int64, int64, int64, float32, float32, float32, float32[:, :, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
     fastmath=FASTMATH,
 )
 def cell_centres(
@@ -159,7 +151,7 @@ def cell_centres(
         _centre_row(means, row + REACH, per_side, (variance, quartic, averaging), out)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _tap(
     share: np.float32,
     r: np.float32,
@@ -182,7 +174,7 @@ def _tap(
     )
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _taps(
     work: Row, row: int, i: int, middle: np.float32, g: np.float32, per_variance: np.float32
 ) -> Sums:
@@ -198,7 +190,7 @@ def _taps(
     return _tap(work[share + 6], work[r + 6], middle + THREE * g, per_variance, THREE, sums)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _fit(work: Row, count: int, noise: Noise) -> None:
     """Turn and shift planes by the weighted least-squares fit to their misses.
 
@@ -238,7 +230,7 @@ def _fit(work: Row, count: int, noise: Noise) -> None:
         work[(PLANE + 3) * STRIDE + i] = weight
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _write_planes(
     work: Row,
     row: int,
@@ -269,7 +261,7 @@ def _write_planes(
         out[3, row, start + i] = min(energy, NO_PLANE) if known else NO_PLANE
 
 
-@njit(
+@kernel(
     void(
         float32[:, :, ::1],
         float32[:, :, ::1],
@@ -283,9 +275,6 @@ def _write_planes(
         float32,
         float32[:, :, ::1],
     ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
     fastmath=FASTMATH,
 )
 def cell_planes(

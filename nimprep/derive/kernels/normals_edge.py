@@ -12,8 +12,9 @@ is then 1 before n is turned, so that the sign is known without a product. g is 
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, int64, njit, void
+from numba import float32, float64, int64, void
 
+from nimprep.compilation.decorator import kernel
 from nimprep.derive.kernels.inverse_depth_gradient import (
     FASTMATH,
     NO_PLANE,
@@ -36,7 +37,7 @@ OWN, MISS = np.float32(8), np.float32(8)
 CELLS, WITHIN2 = np.float32(16), np.float32(9)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _neighbour_row(
     up: Row, row: Row, down: Row, above: Row, here: Row, below: Row, sums: Row
 ) -> None:
@@ -73,7 +74,7 @@ def _neighbour_row(
         weights[u] = own + (left + right) + (over + under)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _cell_row(
     r: Row,
     wide: Image,
@@ -105,7 +106,7 @@ def _cell_row(
         weights[u] += left + right
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+@kernel(fastmath=FASTMATH, inline=True)
 def _normal_row(
     r: Row, sums: Row, x_row: Row, y: np.float32, fx: np.float32, fy: np.float32, out: Row
 ) -> None:
@@ -127,7 +128,7 @@ def _normal_row(
         out[3 * u + 2] = n_z * scale if tilted else flat
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _widened(planes: Image, row: int, side: int, out: Row) -> None:
     """Write a row of cells' planes for every pixel, a cell of none at either side: (4, W + 2 s)."""
     rows, columns = planes.shape[1:]
@@ -140,7 +141,7 @@ def _widened(planes: Image, row: int, side: int, out: Row) -> None:
                 out[k, u] = planes[k, row, i]
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _add_cells(
     r: Row,
     v: int,
@@ -166,7 +167,7 @@ def _add_cells(
         _cell_row(r, line, side, share_row, share_v, x_row, y, noise, sums)
 
 
-@njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _advance(
     depth_m: Image, v: int, scale: np.float32, noise: Noise, inverse: Image, gradient: Image
 ) -> None:
@@ -194,7 +195,7 @@ def _advance(
         gradient[v % 4, 2] = NO_PLANE
 
 
-@njit(
+@kernel(
     void(
         float32[:, ::1],
         int64,
@@ -210,9 +211,6 @@ def _advance(
         int64,
         float32[:, ::1],
     ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
     fastmath=FASTMATH,
 )
 def edge_rows(

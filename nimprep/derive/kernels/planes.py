@@ -6,17 +6,14 @@ All walk rows and write each pixel once. Depth and disparity 0 = none; elsewhere
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, int64, njit, types, void
+from numba import float32, float64, int64, types, void
+
+from nimprep.compilation.decorator import kernel
 
 _PLANE = types.Array(float32, 2, "C", readonly=True)
 
 
-@njit(
-    void(_PLANE, int64, int64, float64, float32[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_PLANE, int64, int64, float64, float32[:, ::1]))
 def reciprocal(values, first, last, factor, out):
     """Write factor / value of rows first..last-1, and 0 where the value is 0."""
     numerator = np.float32(factor)
@@ -26,7 +23,7 @@ def reciprocal(values, first, last, factor, out):
             out[v, u] = numerator / value if value > 0 else np.float32(0)
 
 
-@njit(
+@kernel(
     void(
         _PLANE,
         int64,
@@ -34,10 +31,7 @@ def reciprocal(values, first, last, factor, out):
         types.UniTuple(float64, 4),
         types.UniTuple(float64, 4),
         float32[:, ::1],
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    )
 )
 def heights(depth, first, last, camera, plane, out):
     """Write n·P + h of rows first..last-1, NaN where there is no depth.
@@ -55,12 +49,7 @@ def heights(depth, first, last, camera, plane, out):
             out[v, u] = height if z > 0 else none
 
 
-@njit(
-    float64(float64, types.UniTuple(float64, 3), types.UniTuple(float64, 2)),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(float64(float64, types.UniTuple(float64, 3), types.UniTuple(float64, 2)))
 def road_level(s, coefficients, span):
     """Return the road's disparity at s: a parabola within the span, its tangents beyond it."""
     c0, c1, c2 = coefficients
@@ -69,7 +58,7 @@ def road_level(s, coefficients, span):
     return max(level, 0.0)
 
 
-@njit(
+@kernel(
     void(
         _PLANE,
         int64,
@@ -78,10 +67,7 @@ def road_level(s, coefficients, span):
         types.UniTuple(float64, 3),
         types.UniTuple(float64, 2),
         float32[:, ::1],
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    )
 )
 def over_profile(disparity, first, last, turn, coefficients, span, out):
     """Write disparity less the road's of rows first..last-1, NaN where there is none.
@@ -96,7 +82,7 @@ def over_profile(disparity, first, last, turn, coefficients, span, out):
             out[v, u] = np.float32(value - level) if value > 0 else none
 
 
-@njit(
+@kernel(
     void(
         _PLANE,
         int64,
@@ -105,10 +91,7 @@ def over_profile(disparity, first, last, turn, coefficients, span, out):
         types.UniTuple(float64, 3),
         types.UniTuple(float64, 2),
         float32[:, ::1],
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    )
 )
 def under_profile(transformed, first, last, turn, coefficients, span, out):
     """Undo `over_profile`: write the disparity of rows first..last-1, 0 where there is none."""
@@ -119,12 +102,7 @@ def under_profile(transformed, first, last, turn, coefficients, span, out):
             out[v, u] = np.float32(value + level) if not np.isnan(value) else np.float32(0)
 
 
-@njit(
-    void(_PLANE, float64, types.Array(types.uint16, 2, "C")),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_PLANE, float64, types.Array(types.uint16, 2, "C")))
 def positives_to_integers(values, steps, out):
     """Round values times ``steps`` into 1..65535; 0 stays."""
     for v in range(values.shape[0]):
@@ -133,12 +111,7 @@ def positives_to_integers(values, steps, out):
             out[v, u] = np.uint16(step) if values[v, u] > 0 else np.uint16(0)
 
 
-@njit(
-    void(_PLANE, float64, types.Array(types.int16, 2, "C")),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_PLANE, float64, types.Array(types.int16, 2, "C")))
 def signed_to_integers(values, steps, out):
     """Round values times ``steps`` into -32767..32767; NaN becomes -32768."""
     for v in range(values.shape[0]):

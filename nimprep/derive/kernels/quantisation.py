@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import float32, int8, int16, types, uint16, void
+
+from nimprep.compilation.decorator import kernel
+
+_METRES = types.Array(float32, 2, "C", readonly=True)
+_VECTORS = types.Array(float32, 3, "C", readonly=True)
+_BYTES = types.Array(int8, 3, "C", readonly=True)
+_WORDS = types.Array(int16, 3, "C", readonly=True)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel([void(_VECTORS, float32, int8[:, :, ::1]), void(_VECTORS, float32, int16[:, :, ::1])])
 def normals_to_integers(normal, scale, out):
     """Round each component times `scale` to nearest even: (H, W, 3) float32 to intN."""
     # One loop over all numbers, through int32: so it becomes vector instructions.
@@ -15,7 +22,7 @@ def normals_to_integers(normal, scale, out):
         integers[i] = np.int32(np.rint(numbers[i] * scale))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(void(_METRES, uint16[:, ::1]))
 def metres_to_millimetres(depth_m, out):
     """Round (H, W) float32 metres to uint16 millimetres; what does not fit = 0."""
     metres, integers = depth_m.reshape(-1), out.reshape(-1)
@@ -24,7 +31,7 @@ def metres_to_millimetres(depth_m, out):
         integers[i] = np.int32(millimetres) if millimetres <= 65535 else 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel([void(_BYTES, float32[:, :, ::1]), void(_WORDS, float32[:, :, ::1])])
 def normals_from_integers(stored, out):
     """Scale each vector to unit length: (H, W, 3) intN to float32; (0, 0, 0) stays."""
     for v in range(stored.shape[0]):

@@ -7,7 +7,9 @@ on the road hides it and is nearer, so that its w is larger than the road's.
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, int64, njit, types, void
+from numba import float64, int64, types, void
+
+from nimprep.compilation.decorator import kernel
 
 _VECTOR = types.Array(float64, 1, "C", readonly=True)
 _PLANE = types.UniTuple(float64, 3)
@@ -17,7 +19,7 @@ _BELOW_WEIGHT = 0.25
 _HIGHEST_HORIZON = 4.0
 
 
-@njit(
+@kernel(
     types.Tuple((_PLANE, float64))(
         _VECTOR,
         _VECTOR,
@@ -26,10 +28,7 @@ _HIGHEST_HORIZON = 4.0
         int64,
         float64,
         float64,
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    )
 )
 def best_plane(x, y, w, triples, step, bottom, max_tilt):
     """Return the plane w = a + b x + c y through three of the points that most others agree with.
@@ -75,12 +74,7 @@ def best_plane(x, y, w, triples, step, bottom, max_tilt):
     return best, best_score
 
 
-@njit(
-    void(_VECTOR, _VECTOR, _VECTOR, float64, types.UniTuple(float64, 4), float64, float64[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_VECTOR, _VECTOR, _VECTOR, float64, types.UniTuple(float64, 4), float64, float64[::1]))
 def residuals(x, y, w, tilt, road, floor, out):
     """Write w less the road's, and NaN above its horizon or beyond the votes' tolerance.
 
@@ -94,12 +88,7 @@ def residuals(x, y, w, tilt, road, floor, out):
         out[n] = above if near else np.nan
 
 
-@njit(
-    int64(_VECTOR, _VECTOR, _VECTOR, float64, float64[::1], float64, float64[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(int64(_VECTOR, _VECTOR, _VECTOR, float64, float64[::1], float64, float64[:, ::1]))
 def normal_equations(x, y, w, tilt, apart, within, out):
     """Sum the normal equations of w over 1, s, s², x of the points with |apart| <= within.
 

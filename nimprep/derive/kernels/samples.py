@@ -8,15 +8,11 @@ Flat loops over one counter are what LLVM turns into vector code: 0.25 ms for th
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from nimprep.compilation.decorator import kernel
 
 
-@njit(
-    ["(uint8[::1], float32[::1], float32[::1], float32[:, ::1])"],
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel("(uint8[::1], float32[::1], float32[::1], float32[:, ::1])")
 def scaled_colors(stored, scale, offset, out):
     """Write each channel times its scale plus its offset."""
     s0, s1, s2 = scale[0], scale[1], scale[2]
@@ -28,12 +24,7 @@ def scaled_colors(stored, scale, offset, out):
         third[i] = np.float32(stored[3 * i + 2]) * s2 + o2
 
 
-@njit(
-    ["(uint8[::1], float32[::1], float32[::1], float32[:, ::1])"],
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel("(uint8[::1], float32[::1], float32[::1], float32[:, ::1])")
 def scaled_some(stored, scale, offset, out):
     """Write each channel times its scale plus its offset; pixels that are all 0 stay 0."""
     s0, s1, s2 = scale[0], scale[1], scale[2]
@@ -48,14 +39,11 @@ def scaled_some(stored, scale, offset, out):
         third[i] = np.float32(c) * s2 + o2 if some else np.float32(0)
 
 
-@njit(
+@kernel(
     [
         "(uint16[::1], int64, float32, float32, float32, float32[::1])",
         "(int16[::1], int64, float32, float32, float32, float32[::1])",
-    ],
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    ]
 )
 def scaled_plane(stored, none, steps, scale, offset, out):
     """Write integers over ``steps``, times `scale` plus `offset`; what is `none` becomes 0."""
@@ -64,12 +52,7 @@ def scaled_plane(stored, none, steps, scale, offset, out):
         out[i] = value if stored[i] != none else np.float32(0)
 
 
-@njit(
-    ["(int8[::1], float32[:, ::1])", "(int16[::1], float32[:, ::1])"],
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(["(int8[::1], float32[:, ::1])", "(int16[::1], float32[:, ::1])"])
 def unit_vectors(stored, out):
     """Scale each vector to unit length; (0, 0, 0) stays."""
     x, y, z = out[0], out[1], out[2]
@@ -85,7 +68,7 @@ def unit_vectors(stored, out):
         z[i] = c * scale
 
 
-@njit(["(float32[::1], float32[:, ::1])"], cache=True, nogil=True, error_model="numpy")
+@kernel("(float32[::1], float32[:, ::1])")
 def channels_first(interleaved, out):
     """Write (H * W * 3,) as (3, H * W)."""
     x, y, z = out[0], out[1], out[2]
@@ -95,7 +78,7 @@ def channels_first(interleaved, out):
         z[i] = interleaved[3 * i + 2]
 
 
-@njit(["(uint8[::1], int64[::1])"], cache=True, nogil=True, error_model="numpy")
+@kernel("(uint8[::1], int64[::1])")
 def widened(stored, out):
     """Write labels as the integers that losses take."""
     for i in range(out.size):

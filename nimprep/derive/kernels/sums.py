@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from nimprep.compilation.decorator import kernel
 
 # Whole pixels and whole vectors: a lane always meets the same channel, and so the loop over lanes
 # becomes vector instructions.
@@ -13,7 +14,7 @@ _LANES = 192
 _ROUNDS = 1 << 15
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _count_colored(image):
     n = 0
     for v in range(image.shape[0]):
@@ -23,7 +24,7 @@ def _count_colored(image):
     return n
 
 
-@njit(["(uint8[:, :, ::1], boolean, int64[:, ::1])"], cache=True, nogil=True, error_model="numpy")
+@kernel("(uint8[:, :, ::1], boolean, int64[:, ::1])")
 def color_sums(image, skip_zero, out):
     """Add up (H, W, 3) per channel into (3, 3); `skip_zero` leaves out pixels that are all 0."""
     flat = image.reshape(-1)
@@ -53,7 +54,7 @@ def color_sums(image, skip_zero, out):
         out[channel, 2] += squares[channel::3].sum()
 
 
-@njit(["(uint16[:, ::1], int64[::1])"], cache=True, nogil=True, error_model="numpy")
+@kernel("(uint16[:, ::1], int64[::1])")
 def depth_sums(depth, out):
     """Add up the pixels of (H, W) that are not 0 into (3,)."""
     for v in range(depth.shape[0]):
@@ -68,7 +69,7 @@ def depth_sums(depth, out):
         out[2] += square
 
 
-@njit(["(uint16[:, ::1], int64[::1])"], cache=True, nogil=True, error_model="numpy")
+@kernel("(uint16[:, ::1], int64[::1])")
 def count_values(image, out):
     """Count how often each value occurs in (H, W), into (65536,)."""
     for v in range(image.shape[0]):
