@@ -12,6 +12,7 @@ PACKAGE = Path(nimprep.__file__).parent
 
 LAYERS = [
     ["errors", "text", "compilation"],
+    ["kernels"],
     ["files", "camera", "modality", "frame"],
     ["schema"],
     ["images", "splits", "metrics"],
@@ -64,7 +65,7 @@ def test_no_module_imports_backwards(path: Path) -> None:
 
 
 def test_kernels_import_nothing_of_the_package_but_kernels_and_their_decorator() -> None:
-    paths = sorted((PACKAGE / "derive" / "kernels").glob("*.py"))
+    paths = sorted((PACKAGE / "kernels").glob("*.py"))
     assert len(paths) > 3
     for path in paths:
         tree = ast.parse(path.read_text())
@@ -74,7 +75,7 @@ def test_kernels_import_nothing_of_the_package_but_kernels_and_their_decorator()
         assert all(n in tree.body for n in ours), path
         for node in ours:
             module = node.module or ""
-            assert module.startswith("nimprep.derive.kernels.") or (
+            assert module.startswith("nimprep.kernels.") or (
                 module == "nimprep.compilation.decorator"
             ), path
             assert not any(name_of_module(module, alias.name) for alias in node.names), path

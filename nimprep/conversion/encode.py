@@ -93,7 +93,7 @@ def encode_frame(
             f"{reader.root / changed[0]}: expected a file that stays as it is, found it changed "
             "during the conversion"
         )
-    from nimprep.derive.kernels.sums import count_values
+    from nimprep.kernels.sums import count_values
 
     counts = np.zeros(DEPTHS, dtype=np.int64)
     if "depth" in stored:

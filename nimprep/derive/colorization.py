@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.kernels.completion_colorization import colorization_equations
 from nimprep.errors import ArrayError, NimprepError
+from nimprep.kernels.completion_colorization import colorization_equations
 
 _ALPHA = 1.0
 _LUMA = (0.2989, 0.5870, 0.1140)

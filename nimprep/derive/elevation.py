@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
-from nimprep.derive.kernels.planes import heights
 from nimprep.derive.road import find_road, grid_points
 from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
+from nimprep.kernels.planes import heights
 
 
 def estimate_road_plane(depth_m: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:

@@ -199,7 +199,7 @@ def derive(
 
 def _plane(name: str, frame: Frame, recipe: Recipe) -> npt.NDArray[Any]:
     """Return disparity, transformed disparity or elevation as integers; no road in it = none."""
-    from nimprep.derive.kernels.planes import positives_to_integers, signed_to_integers
+    from nimprep.kernels.planes import positives_to_integers, signed_to_integers
 
     numbers = _numbers(name, frame, recipe)
     plane = PLANES[name]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.kernels.inverse_depth_noise import SAMPLES, second_differences
+from nimprep.kernels.inverse_depth_noise import SAMPLES, second_differences
 
 LAGS = (1, 2, 4, 8, 16, 32)
 """Distances in pixels at which second differences of inverse depth are taken."""

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
-from nimprep.derive.kernels.normals import nim_rows
 from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
+from nimprep.kernels.normals import nim_rows
 
 METHODS = ("nim", "nim-edge")
 """What `estimate_normals` takes as `method`."""

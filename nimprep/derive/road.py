@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.kernels.road_fit import best_plane, normal_equations, residuals
+from nimprep.kernels.road_fit import best_plane, normal_equations, residuals
 
 MAX_ROLL_DEG = 30.0
 """A plane whose level lines are tilted more against the image's rows is taken for a wall."""

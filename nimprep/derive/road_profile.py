@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.derive.depth import checked_plane
-from nimprep.derive.kernels.planes import over_profile, under_profile
 from nimprep.derive.road import find_road, grid_points
 from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
+from nimprep.kernels.planes import over_profile, under_profile
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def estimate_road_profile(disparity: npt.ArrayLike) -> RoadProfile:
     -----
     A road that is a plane has a disparity linear in u and v; a hill or a dip bends it along s. Of
     1000 planes through three pixels the one is taken that most of about 2000 pixels vote for (see
-    `nimprep.derive.kernels.road_fit.best_plane`), where pixels below a plane count against it: no
+    `nimprep.kernels.road_fit.best_plane`), where pixels below a plane count against it: no
     road is seen through. Roll and profile are then fitted to some 10000 pixels by least squares,
     over and over to those within 3 standard deviations, estimated by the median deviation. The
     outer quarters of the image count a quarter: the road lies ahead.

@@ -21,7 +21,7 @@ MAX_DEPTH_M = 65.535
 
 def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     """Round (H, W) float32 metres to uint16 millimetres; beyond `MAX_DEPTH_M` = 0, none."""
-    from nimprep.derive.kernels import quantisation
+    from nimprep.kernels import quantisation
 
     out = np.empty(depth_m.shape, np.uint16)
     quantisation.metres_to_millimetres(np.ascontiguousarray(depth_m, np.float32), out)
@@ -48,7 +48,7 @@ def plane_from_integers(name: str, stored: npt.NDArray[Any]) -> npt.NDArray[np.f
 
 def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDArray[Any]:
     """Return (H, W, 3) float32 unit vectors as int8 or int16; none stays all 0."""
-    from nimprep.derive.kernels import quantisation
+    from nimprep.kernels import quantisation
 
     out = np.empty(normal.shape, dtype=dtype)
     steps = MODALITIES["normal"].as_dtype(dtype).steps
@@ -59,7 +59,7 @@ def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDAr
 
 def normals_from_integers(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     """Return (H, W, 3) int8 or int16 as float32 vectors of unit length; all 0 stays."""
-    from nimprep.derive.kernels import quantisation
+    from nimprep.kernels import quantisation
 
     out = empty(stored.shape, np.float32)
     quantisation.normals_from_integers(np.ascontiguousarray(stored), out)

@@ -56,7 +56,7 @@ def channel_sums(images: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.int64
         their values and the sum of their squares. Pixels without depth (0) do not count, nor do
         those without HHA (all 0). Zeros where the frame lacks the modality.
     """
-    from nimprep.derive.kernels.sums import color_sums, depth_sums
+    from nimprep.kernels.sums import color_sums, depth_sums
 
     sums = np.zeros(SUMS_SHAPE, dtype=np.int64)
     if "rgb" in images:

@@ -11,10 +11,10 @@ from numcodecs import blosc
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
-from nimprep.derive.kernels import samples
 from nimprep.derive.normals import METHODS, check_method, estimate_normals
 from nimprep.errors import ArrayError, StoreError
 from nimprep.frame import IGNORE_LABEL, PLANES
+from nimprep.kernels import samples
 from nimprep.store.buffers import empty
 from nimprep.store.frames import (
     depth_from_millimetres,

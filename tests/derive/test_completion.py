@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from nimprep.derive.completion import FILL_METHODS, fill_depth
-from nimprep.derive.kernels.completion_delaunay import triangulate
 from nimprep.errors import ArrayError, NimprepError
+from nimprep.kernels.completion_delaunay import triangulate
 from tests.naive import completion as naive
 
 SHAPE = (40, 56)

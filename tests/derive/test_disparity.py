@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from nimprep import Camera, depth_from_disparity, disparity_from_depth
-from nimprep.derive.kernels.planes import positives_to_integers, signed_to_integers
 from nimprep.errors import ArrayError
 from nimprep.frame import PLANES, VIRTUAL_BASELINE_M
+from nimprep.kernels.planes import positives_to_integers, signed_to_integers
 from tests.derive.roads import CAMERA, ROADS, plane_of, rays, road_depth
 
 DEPTH = road_depth(plane_of(*ROADS["rolled"])).astype(np.float32)

@@ -16,8 +16,8 @@ from nimprep import (
     restore_disparity,
     transform_disparity,
 )
-from nimprep.derive.kernels.road_fit import best_plane
 from nimprep.errors import ArrayError
+from nimprep.kernels.road_fit import best_plane
 from nimprep.synthetic import render_frame
 from tests.derive.roads import CAMERA, ROADS, plane_of, rays, road_depth, with_boards
 from tests.naive import road as naive

@@ -9,7 +9,7 @@ import numpy as np
 from numba import float32, float64, int64, types, uint8, void
 
 from nimprep.compilation.decorator import kernel
-from nimprep.derive.kernels.hha_planes import decimal_depth
+from nimprep.kernels.hha_planes import decimal_depth
 
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
 _CAMERA = types.UniTuple(float64, 4)

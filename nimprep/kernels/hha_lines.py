@@ -11,7 +11,7 @@ import numpy as np
 from numba import float64, int64, types, void
 
 from nimprep.compilation.decorator import kernel
-from nimprep.derive.kernels.hha_planes import decimal_depth
+from nimprep.kernels.hha_planes import decimal_depth
 
 _DEPTH = types.Array(types.float32, 2, "C", readonly=True)
 _CAMERA = types.UniTuple(float64, 4)

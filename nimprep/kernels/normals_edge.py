@@ -15,7 +15,7 @@ import numpy as np
 from numba import float32, float64, int64, void
 
 from nimprep.compilation.decorator import kernel
-from nimprep.derive.kernels.inverse_depth_gradient import (
+from nimprep.kernels.inverse_depth_gradient import (
     FASTMATH,
     NO_PLANE,
     ONE,

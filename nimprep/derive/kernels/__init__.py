@@ -1,1 +1,0 @@
-"""Compiled loops: no checks, no I/O; the public functions above them check and allocate."""
