@@ -36,22 +36,28 @@ _shared: dict[Child, str] = {}
 """Processes that fixtures of more than one test started, by whom."""
 
 
-def pytest_configure() -> None:
+class _FixturesProcesses:
+    """Note which processes belong to fixtures that outlive a test."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(
+        self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
+    ) -> Generator[None, object, object]:
+        """Compare the processes before and after a fixture is made."""
+        before = children() if fixturedef.scope != "function" else {}
+        result = yield
+        if fixturedef.scope != "function":
+            for child in children().keys() - before.keys():
+                _shared.setdefault(child, f"fixture {fixturedef.argname} of {request.node.nodeid}")
+        return result
+
+
+def pytest_configure(config: pytest.Config) -> None:
     """Let no process that a test leaves go out of sight."""
     adopt_orphans()
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_fixture_setup(
-    fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
-) -> Generator[None, object, object]:
-    """Note which processes belong to fixtures that outlive a test."""
-    before = children() if fixturedef.scope != "function" else {}
-    result = yield
-    if fixturedef.scope != "function":
-        for child in children().keys() - before.keys():
-            _shared.setdefault(child, f"fixture {fixturedef.argname} of {request.node.nodeid}")
-    return result
+    # Not as a function of this file: pytest asks a folder's own hooks of what lies in it, and a
+    # fixture of the whole session lies nowhere.
+    config.pluginmanager.register(_FixturesProcesses())
 
 
 def _end(left: dict[Child, str]) -> list[str]:
