@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from nimprep.errors import SplitError
+from nimprep.files import write_whole
 from nimprep.schema import check_json, read_json
 
 SplitName = Literal["train", "val", "test"]
@@ -274,15 +275,22 @@ def split_document(splits: Mapping[str, str]) -> dict[str, Any]:
     return document
 
 
-def write_split_file(path: Path | str, splits: Mapping[str, str]) -> None:
+def write_split_file(
+    path: Path | str, splits: Mapping[str, str], *sources: Path, overwrite: bool = False
+) -> None:
     """Write the splits as JSON that `splits_from_file` reads back.
+
+    Parameters
+    ----------
+    *sources : Path
+        Where it must not be written.
+    overwrite : bool
+        Replace a file that is there already; without, it is an error.
 
     Raises
     ------
     SplitError
-        The file cannot be written.
+        The file cannot be written, or must not be.
     """
-    try:
-        Path(path).write_text(json.dumps(split_document(splits), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SplitError(f"{path}: expected a writable file, found {error.strerror}") from error
+    data = json.dumps(split_document(splits), indent=2).encode() + b"\n"
+    write_whole(Path(path), data, *sources, overwrite=overwrite, error=SplitError)

@@ -12,7 +12,7 @@ PACKAGE = Path(nimprep.__file__).parent
 
 LAYERS = [
     ["errors", "text", "compilation"],
-    ["kernels"],
+    ["kernels", "folders"],
     ["files", "camera", "modality", "frame"],
     ["schema"],
     ["images", "splits", "metrics"],

@@ -98,7 +98,7 @@ def test_a_file_in_the_folders_place_is_refused(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_one_line_with_its_reason(tmp_path):
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(NimprepError, match="can be written to, found: Not a directory") as caught:
+    with pytest.raises(NimprepError, match="expected to write it, found Not a directory") as caught:
         write_synthetic(tmp_path / "file" / "raw", frames=1, size=SIZE)
     assert "\n" not in str(caught.value)
 

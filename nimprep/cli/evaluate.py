@@ -108,16 +108,18 @@ def evaluate(
     from nimprep.evaluation import compare_predictions
 
     if html is not None:
-        from nimprep.report.page import check_libraries, check_target
+        from nimprep.files import check_file
+        from nimprep.report.page import check_libraries
 
         check_libraries()
-        check_target(html, Path(store), overwrite=overwrite)
+        folders = predictions.values() if isinstance(predictions, dict) else predictions
+        check_file(html, Path(store), *folders, overwrite=overwrite)
     progress = progress_bars(quiet)
     found = compare_predictions(store, predictions, split, progress=progress)
     if html is not None:
         from nimprep.evaluation.page import write_page
 
-        write_page(html, store, found, worst=worst, progress=progress)
+        write_page(html, store, found, worst, progress, overwrite=overwrite)
     style = "json" if as_json else style or "text"
     echo(_written(found, style, metrics, worst), lines=True, bold=True)
 

@@ -28,8 +28,13 @@ from nimprep.cli.options import progress_bars, quiet_option
     help="Ids, splits (train, val, test, none) and ranges START:END of frame numbers from 0, END "
     "left out, joined by commas; may be given several times. Default: all.",
 )
+@click.option(
+    "--overwrite", is_flag=True, help="With rerun, replace OUT where it is there already."
+)
 @quiet_option
-def export(store: str, out: Path, form: Any, frames: tuple[str, ...], quiet: bool) -> None:
+def export(
+    store: str, out: Path, form: Any, frames: tuple[str, ...], overwrite: bool, quiet: bool
+) -> None:
     """Write frames of STORE to the new or empty folder OUT; with rerun, to the new file OUT.
 
     \b
@@ -49,7 +54,12 @@ def export(store: str, out: Path, form: Any, frames: tuple[str, ...], quiet: boo
     --frames 0:10,20:     frames 0 to 9, and from 20 on
     --frames 000003       the frame of this id
     """
+    if overwrite and form != "rerun":
+        raise click.UsageError(
+            f"expected --format rerun with --overwrite, found {form}: a folder must be new or empty"
+        )
     from nimprep.export import export_frames
 
-    ids = export_frames(store, out, form, frames or None, progress_bars(quiet))
+    progress = progress_bars(quiet)
+    ids = export_frames(store, out, form, frames or None, progress, overwrite=overwrite)
     echo(f"{out}: {len(ids)} frames")

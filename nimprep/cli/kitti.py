@@ -28,6 +28,11 @@ _calib = click.option(
 )
 
 
+_overwrite = click.option(
+    "--overwrite", is_flag=True, help="Replace files in OUT that are there already."
+)
+
+
 def _view_option(default: str) -> Callable[[Command], Command]:
     return click.option(
         "--view",
@@ -55,8 +60,9 @@ def kitti() -> None:
     help="auto: depth_u16 where it is there, else LiDAR, else stereo.",
 )
 @click.option("--sparse", is_flag=True, help="Leave LiDAR and stereo as measured, not filled.")
+@_overwrite
 @quiet_option
-def depth(src: Path, out: Path, wanted: Any, sparse: bool, quiet: bool) -> None:
+def depth(src: Path, out: Path, wanted: Any, sparse: bool, overwrite: bool, quiet: bool) -> None:
     """Write dense depth of the road folder SRC to OUT, 16-bit millimetres.
 
     OUT/depth.json records which source each frame's depth came from.
@@ -65,7 +71,7 @@ def depth(src: Path, out: Path, wanted: Any, sparse: bool, quiet: bool) -> None:
 
     from nimprep.kitti.depth import RECORD, write_depth
 
-    chosen = write_depth(src, out, wanted, sparse, progress_bars(quiet))
+    chosen = write_depth(src, out, wanted, sparse, progress_bars(quiet), overwrite=overwrite)
     counts = ", ".join(
         f"{n} from {source}" for source, n in sorted(Counter(chosen.values()).items())
     )
@@ -76,12 +82,14 @@ def depth(src: Path, out: Path, wanted: Any, sparse: bool, quiet: bool) -> None:
 @click.argument("predictions", type=_FOLDER)
 @click.argument("out", type=_FOLDER)
 @_calib
+@_overwrite
 @quiet_option
-def bev(predictions: Path, out: Path, calib: Path | None, quiet: bool) -> None:
+def bev(predictions: Path, out: Path, calib: Path | None, overwrite: bool, quiet: bool) -> None:
     """Transform PREDICTIONS (or ground truths) to the bird's-eye view, into OUT."""
     from nimprep.kitti.transform import transform_folder
 
-    written = transform_folder(predictions, out, calib, progress_bars(quiet))
+    progress = progress_bars(quiet)
+    written = transform_folder(predictions, out, calib, progress, overwrite=overwrite)
     echo(f"{len(written)} images written to {out}")
 
 
@@ -170,6 +178,7 @@ def pack(
     show_default=True,
     help="Confidence at or above which a pixel counts as road.",
 )
+@_overwrite
 @quiet_option
 def overlay(
     predictions: Path,
@@ -179,11 +188,13 @@ def overlay(
     calib: Path | None,
     view: View,
     threshold: float,
+    overwrite: bool,
     quiet: bool,
 ) -> None:
     """Draw PREDICTIONS against GT over IMAGES: hits green, misses red, false alarms blue."""
     from nimprep.kitti.overlay import OverlayFolders, write_overlays
 
     folders = OverlayFolders(predictions, gt, images, calib)
-    written = write_overlays(folders, out, view, threshold, progress_bars(quiet))
+    progress = progress_bars(quiet)
+    written = write_overlays(folders, out, view, threshold, progress, overwrite=overwrite)
     echo(f"{len(written)} pictures written to {out}")

@@ -14,6 +14,7 @@ from nimprep.cli.echo import echo
 @click.option(
     "--export", "export_file", type=click.Path(path_type=Path), help="Write a split file."
 )
+@click.option("--overwrite", is_flag=True, help="Replace the split file where it is there already.")
 @click.option(
     "--import", "import_file", type=click.Path(path_type=Path), help="Split by this file."
 )
@@ -26,6 +27,7 @@ from nimprep.cli.echo import echo
 def split(
     store: str,
     export_file: Path | None,
+    overwrite: bool,
     import_file: Path | None,
     split_by: str | None,
     seed: int | None,
@@ -38,10 +40,14 @@ def split(
     anew = split_by is not None or seed is not None
     if import_file is not None and anew:
         raise click.UsageError("expected --import or --split-by/--seed, found both")
+    from nimprep.errors import SplitError
+    from nimprep.files import check_file
     from nimprep.splits import count_splits, write_split_file
     from nimprep.store.reader import open_store
     from nimprep.store.resplit import resplit
 
+    if export_file is not None:
+        check_file(export_file, Path(store), overwrite=overwrite, error=SplitError)
     if import_file is not None:
         splits = resplit(store, split_file=import_file)
     elif anew:
@@ -51,4 +57,4 @@ def split(
     for name, count in count_splits(splits.values()).items():
         echo(f"{name:<6}{count:>8}{count / len(splits):>8.1%}")
     if export_file is not None:
-        write_split_file(export_file, splits)
+        write_split_file(export_file, splits, Path(store), overwrite=overwrite)

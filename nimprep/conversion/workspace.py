@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +12,9 @@ from typing import Protocol
 from filelock import FileLock, Timeout
 
 from nimprep.errors import StoreError
-from nimprep.store.metadata import ROOT, write_file
+from nimprep.files import replace_file
+from nimprep.folders import sync_tree
+from nimprep.store.metadata import ROOT
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import OLD, check_target, move_into_place, put_back
 
@@ -85,10 +86,10 @@ class LocalWorkspace:
         """Rename a store into its place, this workspace's `store` if no other is named."""
         storage = storage or self.store
         storage.remove_partial()
-        _sync_files(storage.root)
+        sync_tree(storage.root)
         # Two folders may change names at once; the note tells afterwards which is which.
         note = f"{storage.root.name} {_root_digest(storage.root)}"
-        write_file(self.place / _NOTE, [note.encode()])
+        replace_file(self.place / _NOTE, note.encode(), StoreError)
         move_into_place(storage.root, self.target, overwrite=self._overwrite)
         shutil.rmtree(self.place, ignore_errors=True)
 
@@ -162,14 +163,3 @@ def open_workspace(target: Path, *, overwrite: bool, task: str = "") -> Iterator
     finally:
         workspace.leave()
         lock.release()
-
-
-def _sync_files(folder: Path) -> None:
-    """Put every file on the disk: a power failure after the renaming must not empty one."""
-    for path in folder.rglob("*"):
-        if path.is_file():
-            descriptor = os.open(path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)

@@ -10,9 +10,9 @@ import numpy as np
 from nimprep.evaluation.comparison import DIGITS, HEADS, Comparison, Method
 from nimprep.evaluation.overlays import draw_frames, worst_frames
 from nimprep.evaluation.scores import MEASURES, Evaluation
+from nimprep.files import write_whole
 from nimprep.kitti.parallel import Progress
 from nimprep.report.page import render_page
-from nimprep.report.page import write_page as write_file
 from nimprep.store.reader import Store, open_store
 from nimprep.text import printable
 
@@ -23,8 +23,10 @@ def write_page(
     found: Comparison,
     worst: int = 10,
     progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
 ) -> None:
-    """Write the page; what is at `out` is replaced by it.
+    """Write the page.
 
     Parameters
     ----------
@@ -34,11 +36,14 @@ def write_page(
     found : Comparison
     worst : int
         How many of the worst frames are drawn.
+    overwrite : bool
+        Replace a file that is there already; without, it is an error.
 
     Raises
     ------
     NimprepError
-        The extra `report` is not installed, a file cannot be read any more, or `out` not written.
+        The extra `report` is not installed, a file cannot be read any more, or `out` not
+        written.
     """
     store = store if isinstance(store, Store) else open_store(store)
     ids = worst_frames(found)
@@ -57,7 +62,9 @@ def write_page(
         "worst": [_worst(found, frame_id, drawn[frame_id]) for frame_id in drawn],
         "by_frame": [_row(found, frame_id) for frame_id in ids],
     }
-    write_file(out, render_page("evaluation.html.j2", context))
+    sources = (Path(store.path), *(method.predictions for method in found.methods))
+    data = render_page("evaluation.html.j2", context).encode()
+    write_whole(out, data, *sources, overwrite=overwrite)
 
 
 def _score(value: float) -> str:

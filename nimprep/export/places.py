@@ -1,70 +1,15 @@
-"""Where exported files go: inside the place that was asked for, whole or not at all."""
+"""Where exported files go: inside the place that was asked for."""
 
 from __future__ import annotations
 
 import os
-import secrets
-import shutil
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path, PurePath, PurePosixPath
 
-from nimprep.errors import LayoutError, NimprepError
+from nimprep.errors import LayoutError
 
 _LONGEST_NAME = 255
 """Bytes in a file's name, on the file systems in use."""
-
-
-def check_free(out: Path) -> None:
-    """Raise `LayoutError` unless `out` is a new name or an empty folder."""
-    try:
-        taken = out.is_symlink() or (out.exists() and not out.is_dir())
-        first = min((p.name for p in out.iterdir()), default=None) if out.is_dir() else None
-    except OSError as error:
-        raise LayoutError(f"{out}: expected a writable place, found {error.strerror}") from error
-    if taken:
-        raise LayoutError(f"{out}: expected a new or empty folder, found a file or link")
-    if first is not None:
-        raise LayoutError(
-            f"{out}: expected a new or empty folder, found {first!r} in it; choose another or "
-            "empty it"
-        )
-
-
-def check_new(out: Path) -> None:
-    """Raise `LayoutError` where there is anything at `out` already."""
-    if out.is_symlink() or out.exists():
-        raise LayoutError(f"{out}: expected a new file's name, found it there; choose another")
-
-
-@contextmanager
-def whole(out: Path) -> Iterator[Path]:
-    """Give a hidden folder beside `out` to write in, which is gone afterwards.
-
-    `publish` gives it, or a file in it, the name of `out`; without that nothing is left.
-
-    Raises
-    ------
-    LayoutError
-        The place cannot be written.
-    """
-    partial = out.absolute().with_name(f".{out.absolute().name}.{secrets.token_hex(4)}.partial")
-    try:
-        partial.parent.mkdir(parents=True, exist_ok=True)
-        partial.mkdir()
-        yield partial
-    except OSError as error:
-        if isinstance(error, NimprepError):
-            raise
-        raise LayoutError(f"{out}: expected to write it, found {error.strerror}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-
-
-def publish(finished: Path, out: Path) -> None:
-    """Give a finished file or folder its name, unless something has come there meanwhile."""
-    check_free(out) if finished.is_dir() else check_new(out)
-    finished.replace(out.absolute())
 
 
 def files_of(ids: Iterable[str], suffix: str) -> dict[str, PurePosixPath]:

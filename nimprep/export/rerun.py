@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.errors import LayoutError, NimprepError
+from nimprep.errors import NimprepError
 from nimprep.frame import IGNORE_LABEL
 from nimprep.kitti.images import png_bytes
 from nimprep.kitti.parallel import Progress, map_frames
@@ -107,7 +107,7 @@ def write_recording(
     ------
     MissingRerunError
         rerun-sdk is not installed.
-    LayoutError
+    OSError
         The recording cannot be written.
     """
     check_library()
@@ -127,14 +127,14 @@ def write_recording(
                 recording.log(entity, values)
             recording.flush(timeout_sec=PATIENCE_S)
     except (RuntimeError, TimeoutError) as error:
-        raise LayoutError(f"{path.name}: expected to write it, found {error}") from error
+        raise OSError(str(error)) from error
     finally:
         recording.disconnect()
     # The last of it is written behind our back, and a full disk then is no error.
     with path.open("rb") as file:
         file.seek(-min(64, path.stat().st_size), 2)
         if _FOOTER not in file.read():
-            raise LayoutError(f"{path.name}: expected to write it whole, found it cut short")
+            raise OSError("it cut short")
 
 
 def _annotations(store: Store) -> list[tuple[int, str, tuple[int, int, int]]]:

@@ -7,9 +7,10 @@ from pathlib import Path, PurePosixPath
 from typing import Literal, get_args
 
 from nimprep.errors import ArrayError
-from nimprep.export.places import check_free, check_new, files_of, publish, whole, write_new
+from nimprep.export.places import files_of, write_new
 from nimprep.export.selection import select_frames
-from nimprep.kitti.images import refuse_inside
+from nimprep.files import check_file, whole_file
+from nimprep.folders import check_folder, whole_folder
 from nimprep.kitti.parallel import Progress, map_frames
 from nimprep.store.reader import Store, open_store
 
@@ -23,6 +24,8 @@ def export_frames(
     form: Format = "png",
     frames: Iterable[str] | None = None,
     progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
 ) -> list[str]:
     """Write frames of a store out as files that other programs read.
 
@@ -39,6 +42,8 @@ def export_frames(
         Ids, splits and ranges START:END, as `nimprep.export.selection` reads them; None = all.
     progress : callable, optional
         Called with the step and its frames; gives what is called after each.
+    overwrite : bool
+        With "rerun", replace a file that is there. A folder's files are never replaced.
 
     Returns
     -------
@@ -57,31 +62,30 @@ def export_frames(
     out = Path(out)
     if not isinstance(store, Store):
         store = open_store(store)
-    refuse_inside(out, Path(store.path))
+    if overwrite and form != "rerun":
+        raise ArrayError(f"overwrite: expected form 'rerun' with it, found {form!r}")
+    place = Path(store.path)
+    check_file(out, place, overwrite=overwrite) if form == "rerun" else check_folder(out, place)
     numbers = select_frames(store, [frames] if isinstance(frames, str) else frames)
     ids = [store.ids[i] for i in numbers]
     if form == "rerun":
-        _export_recording(store, numbers, out, progress)
+        _export_recording(store, numbers, out, overwrite, progress)
     else:
         write = _write_png if form == "png" else _write_npz
-        check_free(out)
         files = files_of(ids, f".{form}")
-        with whole(out) as partial:
+        with whole_folder(out, place) as partial:
             write(store, numbers, partial, files, progress)
-            publish(partial, out)
     return ids
 
 
 def _export_recording(
-    store: Store, numbers: Sequence[int], out: Path, progress: Progress | None
+    store: Store, numbers: Sequence[int], out: Path, overwrite: bool, progress: Progress | None
 ) -> None:
     from nimprep.export.rerun import check_library, write_recording
 
     check_library()
-    check_new(out)
-    with whole(out) as partial:
-        write_recording(store, numbers, partial / "recording.rrd", progress)
-        publish(partial / "recording.rrd", out)
+    with whole_file(out, Path(store.path), overwrite=overwrite) as partial:
+        write_recording(store, numbers, partial, progress)
 
 
 def _write_png(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import zipfile
-from contextlib import suppress
+from contextlib import ExitStack
 from pathlib import Path
+from types import TracebackType
 
 from nimprep.errors import LayoutError
+from nimprep.files import whole_file
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The earliest time a zip can hold: every entry gets it, so that the same input gives the same
@@ -14,27 +16,35 @@ bytes."""
 
 
 class ZipWhole:
-    """Write a zip beside its place and move it there when all is in; on an error, leave nothing.
+    """Write a zip as `nimprep.files.whole_file` writes a file; on an error, leave nothing.
 
     Entries carry no time of day and one set of permissions, so that the bytes depend on what is
     added alone.
 
+    Parameters
+    ----------
+    path : Path
+    *sources : Path
+        What is read, and never written into.
+    overwrite : bool
+        Replace a file that is there.
+
     Raises
     ------
     LayoutError
-        It cannot be written.
+        It cannot be written, or must not be.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *sources: Path, overwrite: bool = False) -> None:
         self._path = path
-        self._temporary = path.with_name(f".{path.name}.partial")
+        self._whole = whole_file(path, *sources, overwrite=overwrite)
+        self._open = ExitStack()
 
     def __enter__(self) -> ZipWhole:
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._zip = zipfile.ZipFile(self._temporary, "w")
-        except OSError as error:
-            raise self._unwritable(error) from error
+        with ExitStack() as opening:
+            partial = opening.enter_context(self._whole)
+            self._zip = opening.enter_context(zipfile.ZipFile(partial, "w"))
+            self._open = opening.pop_all()
         return self
 
     def add(self, name: str, data: bytes) -> None:
@@ -45,22 +55,12 @@ class ZipWhole:
         # Unix, a plain file for all to read: the defaults differ between systems.
         entry.create_system = 3
         entry.external_attr = 0o100644 << 16
-        try:
-            self._zip.writestr(entry, data, compress_type=zipfile.ZIP_STORED)
-        except OSError as error:
-            raise self._unwritable(error) from error
+        self._zip.writestr(entry, data, compress_type=zipfile.ZIP_STORED)
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
-            self._zip.close()
-            if kind is None:
-                self._temporary.replace(self._path)
-        except OSError as error:
-            if kind is None:
-                raise self._unwritable(error) from error
-        finally:
-            with suppress(OSError):
-                self._temporary.unlink(missing_ok=True)
-
-    def _unwritable(self, error: OSError) -> LayoutError:
-        return LayoutError(f"{self._path}: expected to write it, found {error.strerror or error}")
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._open.__exit__(kind, error, trace)

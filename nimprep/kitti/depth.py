@@ -11,9 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
+from nimprep.files import check_file, write_whole
+from nimprep.folders import refuse_inside
 from nimprep.images import read_depth, read_header, read_rgb
 from nimprep.kitti.calibration import FRAME_SHAPES, Calibration, read_calibration
-from nimprep.kitti.images import png_bytes, refuse_inside, write_whole
+from nimprep.kitti.images import png_bytes
 from nimprep.kitti.layout import RoadFiles, list_road_files
 from nimprep.kitti.lidar import project_lidar, read_velodyne
 from nimprep.kitti.parallel import Progress, map_frames
@@ -165,6 +167,8 @@ def write_depth(
     wanted: Literal["auto", "lidar", "stereo"] = "auto",
     sparse: bool = False,
     progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
 ) -> dict[str, DepthSource]:
     """Write the depth of every frame of a road folder as ``OUT/training/depth_u16/<name>.png``.
 
@@ -176,11 +180,13 @@ def write_depth(
     src : folder
         ``data_road``; never written to.
     out : folder
-        Made as needed; images of the same names are replaced.
+        Made as needed.
     wanted : {"auto", "lidar", "stereo"}
         auto: depth_u16 where it is there, else LiDAR, else stereo.
     sparse : bool
         Leave LiDAR and stereo as measured.
+    overwrite : bool
+        Replace images that are there already; without, they are an error.
 
     Returns
     -------
@@ -189,18 +195,21 @@ def write_depth(
     Raises
     ------
     LayoutError
-        No frames, a frame without a source, or `out` inside `src`.
+        No frames, a frame without a source, `out` inside `src`, or a file there already.
     DecodeError
         A file is bad.
     """
     src, out = Path(src), Path(out)
     refuse_inside(out, src)
     chosen = {files: choose_source(files, wanted, sparse) for files in list_road_files(src)}
+    images = {f: out / f.split / "depth_u16" / f"{f.name}.png" for f in chosen}
+    for path in (out / RECORD, *images.values()):
+        check_file(path, src, overwrite=overwrite)
 
     def write(item: tuple[RoadFiles, DepthSource]) -> None:
         files, source = item
         image = png_bytes(frame_depth_mm(files, source, sparse))
-        write_whole(out / files.split / "depth_u16" / f"{files.name}.png", image)
+        write_whole(images[files], image, src, overwrite=overwrite)
 
     for _ in map_frames("depth", write, list(chosen.items()), progress):
         pass
@@ -210,5 +219,6 @@ def write_depth(
         "sparse": sparse,
         "frames": {files.id: source for files, source in chosen.items()},
     }
-    write_whole(out / RECORD, (json.dumps(record, indent=2) + "\n").encode())
+    text = json.dumps(record, indent=2) + "\n"
+    write_whole(out / RECORD, text.encode(), src, overwrite=overwrite)
     return {files.id: source for files, source in chosen.items()}

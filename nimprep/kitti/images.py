@@ -1,8 +1,7 @@
-"""The benchmark's image files: confidence maps, ground truths, and PNGs written whole or not."""
+"""The benchmark's image files: confidence maps, ground truths, and PNGs."""
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.errors import DecodeError, LayoutError
+from nimprep.errors import DecodeError
 from nimprep.images import read_array, read_header, read_label
 
 _PNG_LEVEL = 2
@@ -95,34 +94,3 @@ def png_bytes(image: npt.NDArray[Any]) -> bytes:
     stored = image if image.ndim == 2 else np.ascontiguousarray(image[:, :, ::-1])
     _, data = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
     return data.tobytes()
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or not at all; folders are made as needed.
-
-    Raises
-    ------
-    LayoutError
-        It cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            temporary.write_bytes(data)
-            temporary.replace(path)
-        finally:
-            with suppress(FileNotFoundError, NotADirectoryError):
-                temporary.unlink()
-    except OSError as error:
-        raise LayoutError(f"{path}: expected to write it, found {error.strerror}") from error
-
-
-def refuse_inside(out: Path, *sources: Path) -> None:
-    """Raise `LayoutError` where `out` is a source folder or inside one: sources are left alone."""
-    for source in sources:
-        if out.resolve().is_relative_to(source.resolve()):
-            raise LayoutError(
-                f"{out}: expected a place outside the source {source}, found one in it; "
-                "sources are never written to"
-            )

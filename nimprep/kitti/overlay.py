@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import ArrayError, DecodeError, LayoutError
+from nimprep.files import check_file, write_whole
+from nimprep.folders import refuse_inside
 from nimprep.images import read_rgb
 from nimprep.kitti.bev import bring_to_bev
 from nimprep.kitti.evaluation import View, listed, read_pair
-from nimprep.kitti.images import GroundTruth, png_bytes, refuse_inside, write_whole
+from nimprep.kitti.images import GroundTruth, png_bytes
 from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
 from nimprep.kitti.parallel import Progress, map_frames
 
@@ -42,6 +43,12 @@ class OverlayFolders:
     ground_truth: Path
     images: Path
     calib: Path | None = None
+
+    @property
+    def all(self) -> list[Path]:
+        """Every folder that is read."""
+        folders = (self.predictions, self.ground_truth, self.images, self.calib)
+        return [folder for folder in folders if folder is not None]
 
 
 def draw_overlay(
@@ -121,8 +128,15 @@ def write_overlays(
     view: View = "perspective",
     threshold: float = 0.5,
     progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
 ) -> tuple[Path, ...]:
     """Draw each prediction's overlay as ``OUT/<cat>_<type>_<number>.png``.
+
+    Parameters
+    ----------
+    overwrite : bool
+        Replace images that are there already; without, they are an error.
 
     Returns
     -------
@@ -132,13 +146,13 @@ def write_overlays(
     Raises
     ------
     LayoutError
-        A folder, a ground truth, an image or a calibration is missing, or `out` is in a source.
+        A folder, a ground truth, an image or a calibration is missing, `out` is in a source, or
+        a file is there already.
     DecodeError
         A file is bad, or sizes differ.
     """
     out = Path(out)
-    sources = (folders.predictions, folders.ground_truth, folders.images)
-    refuse_inside(out, *sources, *([folders.calib] if folders.calib else []))
+    refuse_inside(out, *folders.all)
     guesses = predictions_by_name(folders.predictions, PREDICTION_SUFFIXES)
     truths = predictions_by_name(folders.ground_truth)
     lacking = [name.png for name in guesses if name not in truths]
@@ -148,17 +162,21 @@ def write_overlays(
             f"found none for {listed(lacking)}"
         )
     items = [(name, guesses[name], truths[name]) for name in guesses]
-    draw = partial(_draw_file, folders=folders, out=out, view=view, threshold=threshold)
+    for name in guesses:
+        check_file(out / name.png, *folders.all, overwrite=overwrite)
+
+    def draw(item: tuple[PredictionName, Path, Path]) -> Path:
+        written = out / item[0].png
+        image = png_bytes(_drawn(item, folders, view, threshold))
+        write_whole(written, image, *folders.all, overwrite=overwrite)
+        return written
+
     return tuple(map_frames("overlay", draw, items, progress))
 
 
-def _draw_file(
-    item: tuple[PredictionName, Path, Path],
-    folders: OverlayFolders,
-    out: Path,
-    view: View,
-    threshold: float,
-) -> Path:
+def _drawn(
+    item: tuple[PredictionName, Path, Path], folders: OverlayFolders, view: View, threshold: float
+) -> npt.NDArray[np.uint8]:
     name, guess_path, truth_path = item
     confidence, truth = read_pair(guess_path, truth_path, name, folders.calib, view)
     image_path = folders.images / f"{name.frame}.png"
@@ -172,6 +190,4 @@ def _draw_file(
         raise DecodeError(
             f"{guess_path}: expected {width}x{height} pixels like {image_path}, found {wide}x{high}"
         )
-    written = out / name.png
-    write_whole(written, png_bytes(draw_overlay(image, confidence, truth, threshold)))
-    return written
+    return draw_overlay(image, confidence, truth, threshold)

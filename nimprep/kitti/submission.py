@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from nimprep.errors import LayoutError, NimprepError
+from nimprep.files import check_file
 from nimprep.images import read_header
 from nimprep.kitti.archive import ZipWhole
 from nimprep.kitti.bev import BEV_SHAPE, bring_to_bev, frame_calibration, is_bev
 from nimprep.kitti.calibration import frame_shape
 from nimprep.kitti.evaluation import listed
-from nimprep.kitti.images import png_bytes, read_confidence, refuse_inside
+from nimprep.kitti.images import png_bytes, read_confidence
 from nimprep.kitti.names import (
     PREDICTION_SUFFIXES,
     PredictionName,
@@ -119,14 +120,13 @@ def pack_submission(
     """
     predictions, out = Path(predictions), Path(out)
     calib = None if calib is None else Path(calib)
-    refuse_inside(out, predictions, *([calib] if calib else []))
-    if out.is_dir() or (out.exists() and not overwrite):
-        raise LayoutError(f"{out}: expected no such file yet, found one; use --overwrite")
+    sources = (predictions, *([calib] if calib else []))
+    check_file(out, *sources, overwrite=overwrite)
     inventory = _take_inventory(predictions, calib, target, partial)
     _refuse_problems(inventory, predictions, target, partial)
     render = bind(_render_entry, calib=calib)
     entries: list[_Entry] = []
-    with ZipWhole(out) as archive:
+    with ZipWhole(out, *sources, overwrite=overwrite) as archive:
         for entry in map_frames("pack", render, sorted(inventory.files.items()), progress):
             archive.add(entry.name.png, entry.data)
             entries.append(replace(entry, data=b""))

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.files import check_file, write_whole
+from nimprep.folders import refuse_inside
 from nimprep.images import read_header, read_label
 from nimprep.kitti.bev import bring_to_bev
-from nimprep.kitti.images import png_bytes, read_confidence, refuse_inside, write_whole
+from nimprep.kitti.images import png_bytes, read_confidence
 from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
 from nimprep.kitti.parallel import Progress, map_frames
 
@@ -21,6 +22,8 @@ def transform_folder(
     out: Path | str,
     calib: Path | str | None,
     progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
 ) -> tuple[Path, ...]:
     """Write each image of a folder as bird's-eye view, under its own name.
 
@@ -31,9 +34,11 @@ def transform_folder(
         in the benchmark's own colours (red = evaluated, blue = road, no green). Images of 400x800
         are there already.
     out : folder
-        Made as needed; images of the same names are replaced.
+        Made as needed.
     calib : folder
         Calibrations, ``um_000000.txt``.
+    overwrite : bool
+        Replace images that are there already; without, they are an error.
 
     Returns
     -------
@@ -43,26 +48,34 @@ def transform_folder(
     Raises
     ------
     LayoutError
-        A folder or a calibration is missing, a name is wrong, or `out` is inside a source.
+        A folder or a calibration is missing, a name is wrong, `out` is inside a source, or a
+        file is there already.
     DecodeError
         An image or a calibration is bad, or their sizes differ.
     """
     predictions, out = Path(predictions), Path(out)
     calib = None if calib is None else Path(calib)
-    refuse_inside(out, predictions, *([calib] if calib else []))
+    sources = (predictions, *([calib] if calib else []))
+    refuse_inside(out, *sources)
     files = list(predictions_by_name(predictions, PREDICTION_SUFFIXES).items())
-    transform = partial(_transform_file, out=out, calib=calib)
+    for name, _ in files:
+        check_file(out / name.png, *sources, overwrite=overwrite)
+
+    def transform(item: tuple[PredictionName, Path]) -> Path:
+        name, path = item
+        written = out / name.png
+        image = png_bytes(_transformed(name, path, calib))
+        write_whole(written, image, *sources, overwrite=overwrite)
+        return written
+
     return tuple(map_frames("bev", transform, files, progress))
 
 
-def _transform_file(item: tuple[PredictionName, Path], out: Path, calib: Path | None) -> Path:
-    name, path = item
+def _transformed(name: PredictionName, path: Path, calib: Path | None) -> npt.NDArray[Any]:
     image = _ground_truth_colours(path)
     if image is None:
         image = read_confidence(path)
-    written = out / name.png
-    write_whole(written, png_bytes(bring_to_bev(image, path, calib, name.frame)))
-    return written
+    return bring_to_bev(image, path, calib, name.frame)
 
 
 def _ground_truth_colours(path: Path) -> npt.NDArray[Any] | None:

@@ -1,4 +1,4 @@
-"""Pages of HTML that need nothing but themselves: templates, scripts, policy, and the file."""
+"""Pages of HTML that need nothing but themselves: templates, scripts, policy."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nimprep.errors import LayoutError, NimprepError
-from nimprep.kitti.images import refuse_inside, write_whole
+from nimprep.errors import NimprepError
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -32,35 +30,6 @@ def check_libraries() -> None:
             f"report: expected {' and '.join(LIBRARIES)}, found no {' and no '.join(missing)}; "
             "pip install 'nimprep[report]'"
         )
-
-
-def check_target(out: Path, *sources: Path, overwrite: bool = False) -> None:
-    """Refuse, before any work is done, a place where a page must not be written.
-
-    Raises
-    ------
-    LayoutError
-        It is a folder, lies in a source, or is a file that is there already and `overwrite` was
-        not given.
-    """
-    refuse_inside(out, *sources)
-    if out.is_dir():
-        raise LayoutError(f"{out}: expected a file to write, found a folder")
-    if out.exists() and not overwrite:
-        raise LayoutError(
-            f"{out}: expected a new file, found one there already; --overwrite replaces it"
-        )
-
-
-def write_page(out: Path, html: str) -> None:
-    """Write a page beside its place and move it there, so that it is whole or as it was.
-
-    Raises
-    ------
-    LayoutError
-        It cannot be written.
-    """
-    write_whole(out, html.encode("utf-8"))
 
 
 def render_page(

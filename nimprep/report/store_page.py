@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nimprep import __version__
 from nimprep.errors import StoreError
+from nimprep.files import check_file, write_whole
 from nimprep.report.artist import Artist
 from nimprep.report.charts import make_charts
 from nimprep.report.collect import Collected, Progress, collect
@@ -15,7 +16,7 @@ from nimprep.report.contents import describe, gallery_data, legends
 from nimprep.report.figures import Chart
 from nimprep.report.findings import Finding, find
 from nimprep.report.gallery import Gallery, order_of_interest, paint_gallery
-from nimprep.report.page import check_libraries, check_target, render_page, write_page
+from nimprep.report.page import check_libraries, render_page
 from nimprep.store.reader import Store, open_store
 
 MEGABYTES = 20.0
@@ -134,8 +135,8 @@ def write_report(
         `out` is there already, lies in the store, or cannot be written.
     """
     out = Path(out)
-    place = store.path if isinstance(store, Store) else store
-    check_target(out, Path(place), overwrite=overwrite)
+    place = Path(store.path if isinstance(store, Store) else store)
+    check_file(out, place, overwrite=overwrite)
     seen = examine(store, progress)
     bare = page_of(seen, Gallery(0, {}))
     room = int(megabytes * 1e6) - len(bare.encode()) - _RESERVE
@@ -147,5 +148,6 @@ def write_report(
     order = order_of_interest(seen.store, seen.findings)
     gallery = paint_gallery(seen.artist, order, room, progress)
     html = page_of(seen, gallery)
-    write_page(out, html)
-    return Report(out, len(html.encode()), len(seen.store), len(gallery.frames), seen.findings)
+    data = html.encode()
+    write_whole(out, data, place, overwrite=overwrite)
+    return Report(out, len(data), len(seen.store), len(gallery.frames), seen.findings)

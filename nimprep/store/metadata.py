@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import threading
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,45 +47,6 @@ def consolidated(root: dict[str, Any]) -> dict[str, dict[str, Any]]:
     if not isinstance(found, dict):
         return {}
     return {name: copy for name, copy in found.items() if isinstance(copy, dict)}
-
-
-def write_file(path: Path, parts: Sequence[bytes]) -> None:
-    """Write a file beside its place and move it there, so that it is whole or absent.
-
-    It is on the disk when this returns: a power failure afterwards does not take it back.
-
-    Raises
-    ------
-    StoreError
-        The disk is full, or the folder cannot be written.
-    """
-    # Two machines may write the same file at once, when one was thought dead.
-    partial = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial.open("wb") as file:
-                file.writelines(parts)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
-        except BaseException:
-            partial.unlink(missing_ok=True)
-            raise
-        sync_folder(path.parent)
-    except OSError as error:
-        raise StoreError(f"{path}: expected room to write, found {error.strerror}") from error
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder last; systems that cannot open folders do so by themselves."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def read_attributes(store: Path | str | Storage, *, complete: bool = True) -> dict[str, Any]:

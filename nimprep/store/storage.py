@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from nimprep.errors import StoreError
-from nimprep.files import open_plain, read_file
-from nimprep.store.metadata import write_file
+from nimprep.files import open_plain, read_file, replace_file
 
 
 @runtime_checkable
@@ -132,7 +131,7 @@ class LocalStorage:
 
     def write(self, key: str, parts: Sequence[bytes]) -> None:
         """Write a file beside its place, then move it there."""
-        write_file(self.locate(key), parts)
+        replace_file(self.locate(key), parts, StoreError)
 
     def move(self, key: str, other: str) -> None:
         """Rename a file over another."""

@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
+from nimprep.folders import sync_folder
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
 from nimprep.store.exchange import exchange
 from nimprep.store.memory import MemoryFiles
-from nimprep.store.metadata import ROOT, read_attributes, sync_folder
+from nimprep.store.metadata import ROOT, read_attributes
 from nimprep.store.shards import encode_shard
 from nimprep.store.spec import (
     TABLE_SHAPES,

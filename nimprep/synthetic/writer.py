@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
-import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
@@ -15,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import D415_HORIZONTAL_FOV_DEG, Camera
-from nimprep.errors import LayoutError, NimprepError
+from nimprep.errors import NimprepError
+from nimprep.folders import whole_folder
 from nimprep.frame import MAX_PIXELS
 from nimprep.synthetic.render import MIN_SIDE, SyntheticFrame, check_number, render_frame
 
@@ -72,14 +71,14 @@ def write_synthetic(
     Returns
     -------
     Path
-        The folder. `rgb` is put in place last: a folder without it was cut short.
+        The folder. It is whole or not there; in an empty one that was there, `rgb` comes last.
 
     Raises
     ------
     LayoutError
-        `out_dir` is a file, or a folder with something in it.
+        `out_dir` is a file, a folder with something in it, lies in a store, or cannot be written.
     NimprepError
-        Numbers out of range, or a folder that cannot be written to.
+        Numbers out of range.
     """
     out = Path(out_dir)
     check_number("frames", frames, 1)
@@ -92,52 +91,28 @@ def write_synthetic(
         )
     camera = Camera.from_fov(D415_HORIZONTAL_FOV_DEG, size[1], size[0])
     kinds = _kinds(normals, labels)
-    _check_empty(out)
-    created = not out.exists()
-    partial = out / f".partial-{secrets.token_hex(4)}"
     try:
-        for kind in kinds:
-            (partial / kind).mkdir(parents=True)
-        (partial / "camera.json").write_text(json.dumps(camera.to_dict(), indent=2) + "\n")
-        _write_frames(partial, kinds, frames, seed, camera, noise, progress)
-        for name in ("camera.json", *kinds):
-            (partial / name).rename(out / name)
+        with whole_folder(out) as partial:
+            for kind in kinds:
+                (partial / kind).mkdir()
+            (partial / "camera.json").write_text(json.dumps(camera.to_dict(), indent=2) + "\n")
+            _write_frames(partial, kinds, frames, seed, camera, noise, progress)
     except MemoryError as error:
         raise NimprepError(
             f"{out}: expected memory for frames of {size[1]}x{size[0]} pixels, found too little; "
             "ask for smaller ones"
         ) from error
-    except OSError as error:
-        raise NimprepError(
-            f"{out}: expected a folder that can be written to, found: {error.strerror or error}; "
-            "make room there or choose another place"
-        ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        if created and out.is_dir() and not any(out.iterdir()):
-            out.rmdir()
     return out
 
 
 def _kinds(normals: bool, labels: bool) -> list[str]:
-    """Return the folders to write, in the order in which they are put in place."""
+    """Return the folders to write."""
     return [
         *(["normal", "depth_exact"] if normals else []),
         *(["label"] if labels else []),
         "depth_u16",
         "rgb",
     ]
-
-
-def _check_empty(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise LayoutError(f"{out}: expected a new or empty folder, found a file; choose another")
-    if out.is_dir() and any(out.iterdir()):
-        first = min(path.name for path in out.iterdir())
-        raise LayoutError(
-            f"{out}: expected a new or empty folder, found {first!r} in it; choose another or "
-            "empty it"
-        )
 
 
 def _write_frames(

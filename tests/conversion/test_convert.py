@@ -259,7 +259,7 @@ def test_a_disk_that_runs_full_is_one_line_and_nothing_is_left(gmrp: Path, tmp_p
     assert done.returncode == 1, done.stderr
     errors = [line for line in done.stderr.splitlines() if not line.startswith("warning:")]
     assert len(errors) == 1
-    assert "expected room to write, found File too large" in errors[0]
+    assert "expected to write it, found File too large" in errors[0]
     assert not target.exists()
 
 

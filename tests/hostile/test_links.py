@@ -110,7 +110,7 @@ def test_depth_goes_to_the_folder_that_was_asked_for(tmp_path: Path) -> None:
     place = tmp_path / "out" / "training" / "depth_u16"
     place.mkdir(parents=True)
     (place / "um_000000.png").symlink_to(outside)
-    write_depth(root, tmp_path / "out")
+    write_depth(root, tmp_path / "out", overwrite=True)
     assert outside.read_bytes() == b"mine"
     assert not (place / "um_000000.png").is_symlink()
 

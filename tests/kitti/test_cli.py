@@ -144,7 +144,10 @@ def _no_folder(road: Path, tmp_path: Path) -> tuple[object, ...]:
         (_colour, "um_road_000000.png: expected a confidence map, 8-bit grey, found 8-bit RGB"),
         (_sixteen_bit, "found 16-bit grey"),
         (_nothing_evaluated, "um_road_000000.png: expected evaluated pixels"),
-        (_zip_exists, "o.zip: expected no such file yet"),
+        (
+            _zip_exists,
+            "o.zip: expected a new file, found one there already; --overwrite replaces it",
+        ),
         (_incomplete, "289 missing: um_road_000001.png"),
         (_no_folder, "nowhere: expected a folder"),
     ],

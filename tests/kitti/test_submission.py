@@ -104,7 +104,7 @@ def test_an_existing_zip_is_kept_unless_told_otherwise(
 ) -> None:
     out = tmp_path / "out.zip"
     out.write_bytes(b"mine")
-    with pytest.raises(LayoutError, match=r"out\.zip: expected no such file yet.*--overwrite"):
+    with pytest.raises(LayoutError, match=r"out\.zip: expected a new file.*--overwrite"):
         pack_submission(all_predictions, out)
     assert out.read_bytes() == b"mine"
     pack_submission(all_predictions, out, overwrite=True)

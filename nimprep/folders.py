@@ -1,0 +1,172 @@
+"""Folders: filled whole or not at all, over nothing unasked, and never within what is only read.
+
+Single files: see `nimprep.files`.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from nimprep.errors import LayoutError, NimprepError
+
+PARTIAL = ".partial"
+"""Ends the hidden names of what is not whole yet."""
+
+_MAX_ROOT = 1 << 25
+"""Bytes of a zarr.json that are looked at."""
+
+
+def place_of(path: Path) -> Path:
+    """Return a path that stays right wherever the process goes: absolute, without "." and "..".
+
+    Links above it are followed; one that it is itself stays, unless its name is no name.
+    """
+    if path.name in ("", ".."):
+        return Path(os.path.realpath(path))
+    return Path(os.path.realpath(path.parent), path.name)
+
+
+def refuse_inside(out: Path, *sources: Path, error: type[NimprepError] = LayoutError) -> None:
+    """Raise `error` where `out` lies in one of the sources or in any store: they are left alone.
+
+    Links are followed, those above `out` and the one that it may be.
+    """
+    places = {Path(os.path.realpath(out)), place_of(out)}
+    for source in sources:
+        if any(place.is_relative_to(os.path.realpath(source)) for place in places):
+            raise error(
+                f"{out}: expected a place outside the source {source}, found one in it; "
+                "sources are never written to"
+            )
+    for folder in {folder for place in places for folder in place.parents}:
+        if _is_store(folder):
+            raise error(
+                f"{out}: expected a place outside of stores, found one in {folder}; choose another"
+            )
+
+
+def _is_store(folder: Path) -> bool:
+    root = folder / "zarr.json"
+    try:
+        if not root.is_file():
+            return False
+        with root.open("rb") as file:
+            return b'"nimprep"' in file.read(_MAX_ROOT)
+    except OSError:
+        return False
+
+
+def check_folder(
+    out: Path, *sources: Path, but: Path | None = None, error: type[NimprepError] = LayoutError
+) -> None:
+    """Refuse a place where a folder must not be filled.
+
+    Parameters
+    ----------
+    out : Path
+    *sources : Path
+        What is read; nothing is ever written into it.
+    but : Path, optional
+        Does not count.
+    error : class
+        What to raise.
+
+    Raises
+    ------
+    NimprepError
+        Of the class given: it is neither a new name nor an empty folder, or lies in a source or in
+        a store.
+    """
+    with told(out, error):
+        refuse_inside(out, *sources, error=error)
+        if out.is_symlink() or (out.exists() and not out.is_dir()):
+            raise error(f"{out}: expected a new or empty folder, found a file or link")
+        names = [path.name for path in out.iterdir() if path != but] if out.is_dir() else []
+        if names:
+            raise error(
+                f"{out}: expected a new or empty folder, found {min(names)!r} in it; choose "
+                "another or empty it"
+            )
+
+
+@contextmanager
+def whole_folder(
+    out: Path, *sources: Path, error: type[NimprepError] = LayoutError
+) -> Iterator[Path]:
+    """Give a hidden folder to fill; what is in it is at `out` when the context ends well.
+
+    A new folder gets its name at once. An empty one that was there is kept, as somebody may be in
+    it, and what is in the hidden one moves up, in the order of the names. After an error nothing
+    is left. At the end all of it is on the disk.
+
+    Parameters and errors are those of `check_folder`; where it cannot be written is one more.
+    """
+    check_folder(out, *sources, error=error)
+    with told(out, error):
+        target = place_of(out)
+        there = target.is_dir()
+        parent = target if there else target.parent
+        partial = parent / hidden_name()
+        try:
+            partial.mkdir(parents=True)
+            yield partial
+            sync_tree(partial)
+            check_folder(target, *sources, but=partial, error=error)
+            for path in sorted(partial.iterdir()) if there else ():
+                path.rename(target / path.name)
+            if not there:
+                partial.rename(target)
+            sync_folder(parent)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def hidden_name() -> str:
+    """Return a name that nobody else has, for what is not whole yet."""
+    return f".{secrets.token_hex(8)}{PARTIAL}"
+
+
+@contextmanager
+def told(out: Path, error: type[NimprepError]) -> Iterator[None]:
+    """Let a fault of the disk be an `error` of one line."""
+    try:
+        yield
+    except NimprepError:
+        raise
+    # A name with a zero byte in it is a ValueError.
+    except (OSError, ValueError) as caught:
+        reason = getattr(caught, "strerror", None) or caught
+        raise error(f"{out}: expected to write it, found {reason}") from caught
+
+
+def sync_tree(folder: Path) -> None:
+    """Put every file and folder below on the disk, and the folder itself; links are not followed.
+
+    Done before a folder gets its name, so that a power failure afterwards does not empty a file.
+    """
+    for path, _, names in os.walk(folder):
+        for name in names:
+            file = Path(path, name)
+            if file.is_file() and not file.is_symlink():
+                sync_file(file)
+        sync_folder(Path(path))
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder last; systems that cannot open folders do so by themselves."""
+    if os.name == "posix":
+        sync_file(folder)
+
+
+def sync_file(path: Path) -> None:
+    """Put what a file holds on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
