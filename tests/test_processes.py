@@ -19,7 +19,7 @@ SLEEP = [sys.executable, "-c", "import signal; signal.pause()"]
 TESTS = f"""
 import subprocess, sys
 import pytest
-import tests.processes
+from tests import leftovers
 
 SLEEP = {SLEEP!r}
 ORPHAN = "import subprocess; print(subprocess.Popen({SLEEP!r}, stdout=-3).pid)"
@@ -33,7 +33,7 @@ def start(command):
     return kept[-1]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shared():
     process = start(SLEEP)
     yield process
@@ -41,9 +41,17 @@ def shared():
     process.wait()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shared_and_left():
     start(SLEEP)
+
+
+@pytest.fixture(scope="module")
+def shared_in_a_module():
+    process = start(SLEEP)
+    yield
+    process.kill()
+    process.wait()
 
 
 def test_leaves_one_that_ends():
@@ -52,11 +60,11 @@ def test_leaves_one_that_ends():
 
 
 def test_uses_a_shared_process(shared):
-    tests.processes.GRACE_S = 0
+    leftovers.GRACE_S = 0
     assert shared.poll() is None
 
 
-def test_uses_it_still(shared):
+def test_uses_it_still(shared, shared_in_a_module):
     assert shared.poll() is None
 
 
@@ -105,7 +113,7 @@ def test_what_a_test_leaves_is_ended_and_its_test_named(tmp_path: Path) -> None:
     for name in ("leaves_a_process", "leaves_a_childs_child"):
         assert f"test_these.py::test_{name} left process " in said
     assert "the tests left process" in said
-    assert "fixture shared_and_left of test_these.py" in said
+    assert "fixture shared_and_left of " in said
     started = re.findall(r"started (\d+)", said)
-    assert len(started) == 5
+    assert len(started) == 6
     assert not any(alive(int(number)) for number in started)
