@@ -40,6 +40,8 @@ class Modality:
         Stored integers are the values times this, rounded.
     fill : int
         What is stored where there is none, and in the padding.
+    beyond : {"nearest", "none"}
+        What numbers become that the integers cannot say.
     on_request : bool
         Stored only where it is asked for by name.
     """
@@ -54,6 +56,7 @@ class Modality:
     dtypes: tuple[str, ...] = ()
     steps: int = 1
     fill: int = 0
+    beyond: Literal["nearest", "none"] = "nearest"
     on_request: bool = False
 
     @property
@@ -88,6 +91,7 @@ MODALITIES: dict[str, Modality] = {
             units="m",
             dtype="uint16",
             steps=1000,
+            beyond="none",
         ),
         Modality(
             name="normal",

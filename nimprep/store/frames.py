@@ -11,7 +11,7 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
 from nimprep.frame import Frame
-from nimprep.modality import MODALITIES
+from nimprep.modality import MODALITIES, Modality
 from nimprep.store.buffers import empty
 from nimprep.store.images import ImageArray
 
@@ -19,26 +19,46 @@ MAX_DEPTH_M = 65.535
 """The farthest depth a store can say, metres; what is farther is stored as none."""
 
 
-def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
-    """Round (H, W) float32 metres to uint16 millimetres; beyond `MAX_DEPTH_M` = 0, none."""
-    from nimprep.kernels import quantisation
+def to_integers(modality: Modality, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return an image of a `Frame` as a store holds it."""
+    if modality.values == "vectors":
+        from nimprep.kernels import quantisation
 
-    out = np.empty(depth_m.shape, np.uint16)
-    quantisation.metres_to_millimetres(np.ascontiguousarray(depth_m, np.float32), out)
+        out = np.empty(image.shape, modality.dtype)
+        vectors = np.ascontiguousarray(image, np.float32)
+        quantisation.normals_to_integers(vectors, np.float32(modality.steps), out)
+        return out
+    return _rounded(modality, image) if modality.values == "numbers" else image
+
+
+def _rounded(modality: Modality, numbers: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
+    from nimprep.kernels import planes, quantisation
+
+    numbers = np.ascontiguousarray(numbers, np.float32)
+    out = np.empty(numbers.shape, modality.dtype)
+    if modality.beyond == "none":
+        quantisation.metres_to_millimetres(numbers, out)
+    elif modality.fill:
+        planes.signed_to_integers(numbers, modality.steps, out)
+    else:
+        planes.positives_to_integers(numbers, modality.steps, out)
     return out
 
 
-def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
-    """Return (H, W) uint16 millimetres as float32 metres, each the float32 nearest to it."""
-    return plane_from_integers("depth", stored)
+def from_integers(modality: Modality, stored: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return an image of a store as a `Frame` has it.
 
-
-def plane_from_integers(name: str, stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return an image of numbers, (H, W) integers, as float32 in the modality's units.
-
-    Where there is none: 0 if the integers are unsigned, NaN if they are signed.
+    Numbers are float32; where there is none, they are 0 if the integers are unsigned, NaN if not.
+    Vectors are float32 of unit length. All else stays as it is.
     """
-    modality = MODALITIES[name]
+    if modality.values == "vectors":
+        from nimprep.kernels import quantisation
+
+        out = empty(stored.shape, np.float32)
+        quantisation.normals_from_integers(np.ascontiguousarray(stored), out)
+        return out
+    if modality.values != "numbers":
+        return stored
     numbers = empty(stored.shape, np.float32)
     np.divide(stored, np.float32(modality.steps), out=numbers, dtype=np.float32)
     if modality.fill:
@@ -46,24 +66,19 @@ def plane_from_integers(name: str, stored: npt.NDArray[Any]) -> npt.NDArray[np.f
     return numbers
 
 
+def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+    """Round (H, W) float32 metres to uint16 millimetres; beyond `MAX_DEPTH_M` = 0, none."""
+    return to_integers(MODALITIES["depth"], depth_m)
+
+
+def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+    """Return (H, W) uint16 millimetres as float32 metres, each the float32 nearest to it."""
+    return from_integers(MODALITIES["depth"], stored)
+
+
 def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDArray[Any]:
     """Return (H, W, 3) float32 unit vectors as int8 or int16; none stays all 0."""
-    from nimprep.kernels import quantisation
-
-    out = np.empty(normal.shape, dtype=dtype)
-    steps = MODALITIES["normal"].as_dtype(dtype).steps
-    vectors = np.ascontiguousarray(normal, np.float32)
-    quantisation.normals_to_integers(vectors, np.float32(steps), out)
-    return out
-
-
-def normals_from_integers(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return (H, W, 3) int8 or int16 as float32 vectors of unit length; all 0 stays."""
-    from nimprep.kernels import quantisation
-
-    out = empty(stored.shape, np.float32)
-    quantisation.normals_from_integers(np.ascontiguousarray(stored), out)
-    return out
+    return to_integers(MODALITIES["normal"].as_dtype(dtype), normal)
 
 
 EAGER = ("rgb", "depth", "label")
@@ -107,9 +122,9 @@ class StoredFrame(Frame):
         height, width = self.camera.shape
         padded = empty(array.shape[1:], array.dtype)
         array.decode(packed, padded, self._number)
-        if padded.shape[:2] == (height, width):
-            return padded
-        return np.ascontiguousarray(padded[:height, :width])
+        if padded.shape[:2] != (height, width):
+            padded = np.ascontiguousarray(padded[:height, :width])
+        return from_integers(array.modality, padded)
 
     @cached_property
     def rgb(self) -> npt.NDArray[np.uint8] | None:
@@ -119,13 +134,12 @@ class StoredFrame(Frame):
     @cached_property
     def depth_m(self) -> npt.NDArray[np.float32] | None:
         """Depth, (H, W) float32 metres, 0 = none."""
-        return self._plane("depth")
+        return self._image("depth")
 
     @cached_property
     def normal(self) -> npt.NDArray[np.float32] | None:
         """Normals, (H, W, 3) float32 unit vectors, (0, 0, 0) = none."""
-        stored = self._image("normal")
-        return None if stored is None else normals_from_integers(stored)
+        return self._image("normal")
 
     @cached_property
     def hha(self) -> npt.NDArray[np.uint8] | None:
@@ -135,21 +149,17 @@ class StoredFrame(Frame):
     @cached_property
     def disparity(self) -> npt.NDArray[np.float32] | None:
         """Disparity, (H, W) float32 pixels, 0 = none."""
-        return self._plane("disparity")
+        return self._image("disparity")
 
     @cached_property
     def transformed_disparity(self) -> npt.NDArray[np.float32] | None:
         """Disparity less the road's, (H, W) float32 pixels, NaN = none."""
-        return self._plane("transformed_disparity")
+        return self._image("transformed_disparity")
 
     @cached_property
     def elevation(self) -> npt.NDArray[np.float32] | None:
         """Height over the road's plane, (H, W) float32 metres, NaN = none."""
-        return self._plane("elevation")
-
-    def _plane(self, name: str) -> npt.NDArray[np.float32] | None:
-        stored = self._image(name)
-        return None if stored is None else plane_from_integers(name, stored)
+        return self._image("elevation")
 
     @cached_property
     def label(self) -> npt.NDArray[np.uint8] | None:

@@ -18,8 +18,8 @@ from nimprep.kernels import samples
 from nimprep.store.buffers import empty
 from nimprep.store.frames import (
     depth_from_millimetres,
+    from_integers,
     normals_to_integers,
-    plane_from_integers,
 )
 from nimprep.store.reader import Store
 from nimprep.torch.scaling import Scaling
@@ -117,7 +117,8 @@ class FrameSource:
         if name in ("rgb", "hha"):
             return torch.from_numpy(self.stored(name, frame)).permute(2, 0, 1)
         if name in PLANES:
-            return torch.from_numpy(plane_from_integers(name, self.stored(name, frame)))[None]
+            modality = self.store.arrays[name].modality
+            return torch.from_numpy(from_integers(modality, self.stored(name, frame)))[None]
         if name == "label":
             label = torch.from_numpy(empty(self.size, np.int64))
             self.label(frame, label)
