@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 Values = Literal["colors", "levels", "vectors", "numbers", "classes"]
 """What a pixel holds::
@@ -16,6 +17,27 @@ Values = Literal["colors", "levels", "vectors", "numbers", "classes"]
     numbers  one integer, a number times `steps`; `fill` = none
     classes  the id of a class
 """
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """Say how a modality is made from others.
+
+    Attributes
+    ----------
+    make : str
+        "module:function", called with a `nimprep.derive.recipe.Given`, returns a `Made`. Imported
+        when it is first called, as its kernels take their time.
+    describe : str
+        "module:function", called with a `Recipe`, returns the `method` and `parameters` that a
+        store's attributes say of it.
+    sources : tuple of str
+        The modalities that it is made from.
+    """
+
+    make: str
+    describe: str
+    sources: tuple[str, ...] = ("depth",)
 
 
 @dataclass(frozen=True)
@@ -42,6 +64,10 @@ class Modality:
         What is stored where there is none, and in the padding.
     beyond : {"nearest", "none"}
         What numbers become that the integers cannot say.
+    fillable : bool
+        Whether its holes can be filled before others are made from it.
+    derived : Derivation, optional
+        None = it comes from the source.
     on_request : bool
         Stored only where it is asked for by name.
     """
@@ -57,6 +83,8 @@ class Modality:
     steps: int = 1
     fill: int = 0
     beyond: Literal["nearest", "none"] = "nearest"
+    fillable: bool = False
+    derived: Derivation | None = None
     on_request: bool = False
 
     @property
@@ -67,6 +95,17 @@ class Modality:
     def image_shape(self, height: int, width: int) -> tuple[int, ...]:
         """Return the shape of an image as it is stored."""
         return (height, width, len(self.channels)) if self.channels else (height, width)
+
+    @property
+    def absent(self) -> float:
+        """What an image in memory is where there is none."""
+        return float("nan") if self.values == "numbers" and self.fill else self.fill
+
+    def blank(self, size: tuple[int, int]) -> npt.NDArray[Any]:
+        """Return an image in memory of (height, width) that has nothing anywhere."""
+        measured = self.values in ("vectors", "numbers")
+        dtype = np.float32 if measured else np.uint8
+        return np.full(self.image_shape(*size), self.absent, dtype)
 
     def as_dtype(self, dtype: str) -> Modality:
         """Return the modality of a store that holds it as this; itself where it is never that."""
@@ -92,6 +131,7 @@ MODALITIES: dict[str, Modality] = {
             dtype="uint16",
             steps=1000,
             beyond="none",
+            fillable=True,
         ),
         Modality(
             name="normal",
@@ -103,12 +143,20 @@ MODALITIES: dict[str, Modality] = {
             dtype="int8",
             dtypes=("int8", "int16"),
             steps=127,
+            derived=Derivation(
+                make="nimprep.derive.normals:make_normals",
+                describe="nimprep.derive.normals:describe_normals",
+            ),
         ),
         Modality(
             name="hha",
             values="levels",
             long_name="HHA",
             channels=("horizontal disparity", "height above ground", "angle with gravity"),
+            derived=Derivation(
+                make="nimprep.derive.hha:make_hha",
+                describe="nimprep.derive.hha:describe_hha",
+            ),
         ),
         Modality(
             name="disparity",
@@ -118,6 +166,10 @@ MODALITIES: dict[str, Modality] = {
             dtype="uint16",
             # KITTI's own: up to 255.996 pixels, to 0.002. What is nearer is stored as that.
             steps=256,
+            derived=Derivation(
+                make="nimprep.derive.disparity:make_disparity",
+                describe="nimprep.derive.disparity:describe_disparity",
+            ),
             on_request=True,
         ),
         Modality(
@@ -129,6 +181,10 @@ MODALITIES: dict[str, Modality] = {
             # As far to either side of the road, to 0.004 pixels: far below what a matcher resolves.
             steps=128,
             fill=-32768,
+            derived=Derivation(
+                make="nimprep.derive.road_profile:make_transformed_disparity",
+                describe="nimprep.derive.road_profile:describe_transformed_disparity",
+            ),
             on_request=True,
         ),
         Modality(
@@ -139,6 +195,10 @@ MODALITIES: dict[str, Modality] = {
             dtype="int16",
             steps=1000,
             fill=-32768,
+            derived=Derivation(
+                make="nimprep.derive.elevation:make_elevation",
+                describe="nimprep.derive.elevation:describe_elevation",
+            ),
             on_request=True,
         ),
         Modality(

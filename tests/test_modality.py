@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
 
 from nimprep import frame
+from nimprep.derive.recipe import DERIVED, Recipe
 from nimprep.modality import MODALITIES, Modality
 from nimprep.schema import load_schema
 from nimprep.store.spec import NORMAL_SCALES, image_spec, stored_modalities
@@ -58,3 +62,22 @@ def test_the_names_of_the_release_before_are_still_there() -> None:
     assert list(frame.PLANES) == ["depth", *frame.ON_REQUEST]
     assert frame.modality_name(" transformed-disparity") == "transformed_disparity"
     assert NORMAL_SCALES == {"int8": 127, "int16": 32767}
+
+
+@pytest.mark.parametrize("name", DERIVED)
+def test_a_derived_modality_is_made_and_described_by_the_functions_it_names(name: str) -> None:
+    derived = MODALITIES[name].derived
+    assert derived is not None
+    assert set(derived.sources) <= set(MODALITIES) - set(DERIVED)
+    for path in (derived.make, derived.describe):
+        assert path.startswith("nimprep.derive.")
+        assert resolve_name(path).__doc__
+    described = Recipe().describe(name)
+    assert list(described) == ["method", "parameters"]
+    assert described["parameters"]["fill"] == "none"
+
+
+def test_a_record_imports_no_kernels() -> None:
+    code = "import sys, nimprep.modality; print({'numba', 'cv2', 'torch'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"

@@ -10,14 +10,15 @@ import numpy.typing as npt
 
 from nimprep.conversion.records import DEPTHS, FrameFacts
 from nimprep.conversion.sources import FileState, changed_files, frame_digest, frame_state
-from nimprep.derive.modalities import DERIVED, Recipe, derive, fill_frame
+from nimprep.derive.modalities import derive, fill_frame
+from nimprep.derive.recipe import DERIVED, Recipe
 from nimprep.errors import ArrayError, DecodeError
 from nimprep.frame import Frame
 from nimprep.readers.base import Reader
 from nimprep.store.frames import (
     depth_from_millimetres,
     depth_to_millimetres,
-    normals_to_integers,
+    to_integers,
 )
 from nimprep.store.shards import encode_chunk
 from nimprep.store.statistics import channel_sums
@@ -133,9 +134,7 @@ def _stored_images(
         if recipe.store_filled and frame.depth_m is not None:
             frame, stored["depth"] = _as_stored(frame, frame.depth_m)
     derived = derive(frame, missing, layout.modalities, recipe)
-    stored |= derived.images
-    if "normal" in stored:
-        stored["normal"] = normals_to_integers(stored["normal"], layout.normal_dtype)
+    stored |= {n: to_integers(layout.modality(n), i) for n, i in derived.images.items()}
     return stored, derived.gravity
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import describe_modalities
-from nimprep.derive.modalities import recipe_from
+from nimprep.derive.recipe import recipe_from
 from nimprep.errors import DecodeError, LayoutError, StoreError
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from nimprep.derive.modalities import DERIVED, Recipe
+from nimprep.derive.recipe import DERIVED, Recipe
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES, modality_name
 from nimprep.readers import ReaderOptions

@@ -9,7 +9,7 @@ from typing import Any
 
 from nimprep import __version__
 from nimprep.conversion.options import ConvertOptions
-from nimprep.derive.modalities import DERIVED, Recipe
+from nimprep.derive.recipe import DERIVED, Recipe
 from nimprep.errors import LayoutError, StoreError
 from nimprep.modality import MODALITIES, Modality
 from nimprep.readers import Reader

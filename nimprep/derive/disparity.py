@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth, checked_plane
+from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
 from nimprep.frame import VIRTUAL_BASELINE_M
@@ -103,3 +104,30 @@ def _divided(
 
     run_rows(run, values.shape, num_threads)
     return out
+
+
+def disparity_of(given: Given) -> npt.NDArray[np.float32]:
+    """Return a frame's disparity by its own baseline, or the recipe's where it has none."""
+    own = given.frame.baseline_m
+    baseline_m = own if math.isfinite(own) else given.recipe.virtual_baseline_m
+    return disparity_from_depth(given.depth_m, given.frame.camera, baseline_m, num_threads=1)
+
+
+def make_disparity(given: Given) -> Made:
+    """Make a frame's disparity."""
+    return Made(disparity_of(given))
+
+
+def baseline_parameters(recipe: Recipe) -> dict[str, Any]:
+    """Return what a store's attributes say of what is made by a baseline."""
+    return {
+        "fill": recipe.fill,
+        "baseline": "the frame's own where it has one, else the virtual one",
+        "virtual_baseline_m": recipe.virtual_baseline_m,
+    }
+
+
+def describe_disparity(recipe: Recipe) -> dict[str, Any]:
+    """Return what a store's attributes say of its disparity."""
+    parameters = {**baseline_parameters(recipe), "disparity": "fx * baseline / depth"}
+    return {"method": "disparity", "parameters": parameters}

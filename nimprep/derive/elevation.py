@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
+from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.road import find_road, grid_points
 from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
@@ -146,3 +147,19 @@ def _checked(plane: Any, name: str) -> npt.NDArray[np.float64]:
     if abs(length - 1) > 1e-3:
         raise ArrayError(f"{name}: expected a unit normal, found one of length {length:g}")
     return values
+
+
+def make_elevation(given: Given) -> Made:
+    """Make a frame's elevation, over the road of its calibration or of its depth; or none."""
+    depth, frame = checked_depth(given.depth_m, given.frame.camera), given.frame
+    calibrated = None if frame.cam_to_road is None else road_plane(frame.cam_to_road)
+    plane = find_road_plane(depth, frame.camera) if calibrated is None else calibrated
+    if plane is None:
+        return Made(None)
+    return Made(estimate_elevation(depth, frame.camera, plane, num_threads=1))
+
+
+def describe_elevation(recipe: Recipe) -> dict[str, Any]:
+    """Return what a store's attributes say of its elevation."""
+    plane = "the road frame's y = 0 where a frame has cam_to_road, else fitted to the depth"
+    return {"method": "road-plane", "parameters": {"fill": recipe.fill, "plane": plane}}

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.gravity import Scene, gravity_of_scene, scene_from_depth
+from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.threads import run_blocks
 from nimprep.errors import ArrayError
 from nimprep.kernels.hha_channels import encode_block, lowest_block
@@ -147,3 +148,31 @@ def _checked_gravity(gravity: Any) -> npt.NDArray[np.float64]:
     if not np.isfinite(length) or length == 0:
         raise ArrayError(f"gravity: expected a direction, found {vector.tolist()}")
     return np.asarray(vector / length)
+
+
+def make_hha(given: Given) -> Made:
+    """Encode a frame's HHA, with the direction of gravity that its calibration says or shows."""
+    frame, transform = given.frame, given.frame.cam_to_road
+    if transform is None:
+        return Made(
+            *encode_hha_and_gravity(given.depth_m, frame.camera, given.missing, num_threads=1)
+        )
+    # The road frame's y axis points down, as the camera's does.
+    gravity = transform[:, :3].T @ (0.0, 1.0, 0.0)
+    hha = encode_hha(given.depth_m, frame.camera, given.missing, gravity, num_threads=1)
+    return Made(hha, gravity)
+
+
+def describe_hha(recipe: Recipe) -> dict[str, Any]:
+    """Return what a store's attributes say of its HHA."""
+    return {
+        "method": "hha",
+        "parameters": {
+            "fill": recipe.fill,
+            "gravity": "from cam_to_road where a frame has it, else estimated",
+            "horizontal_disparity": "31000 / max(depth, 100), depth in cm",
+            "height": "cm above the frame's lowest point, or above a ground 130 cm below "
+            "the camera where no point lies 90 cm below it",
+            "angle": "degrees between normal and gravity, plus 38: floor 38, wall 128",
+        },
+    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,12 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
+from nimprep.derive.methods import METHODS as METHODS
+from nimprep.derive.methods import check_method as check_method
+from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
 from nimprep.kernels.normals import nim_rows
-
-METHODS = ("nim", "nim-edge")
-"""What `estimate_normals` takes as `method`."""
 
 
 def estimate_normals(
@@ -98,32 +97,6 @@ def estimate_normals(
     return normal
 
 
-def check_method(method: str, sign_filter: bool = False, noise: float | None = None) -> None:
-    """Check that a method exists and has the options given, and load its kernels.
-
-    Loading compiles them when they are first used on a machine. That takes seconds, and should be
-    done before processes start that would all do it.
-
-    Raises
-    ------
-    ArrayError
-        As `estimate_normals` does.
-    """
-    if method not in METHODS:
-        known = ", ".join(repr(name) for name in METHODS)
-        raise ArrayError(f"method: expected one of {known}, found {method!r}")
-    if method == "nim-edge":
-        import nimprep.derive.normals_edge  # noqa: F401
-    if method == "nim-edge" and sign_filter:
-        raise ArrayError("sign_filter: expected False with 'nim-edge', found True; 'nim' has it")
-    if noise is None:
-        return
-    if method != "nim-edge":
-        raise ArrayError(f"noise: expected None with {method!r}, found {noise}; 'nim-edge' has it")
-    if not 0 <= noise < math.inf:
-        raise ArrayError(f"noise: expected a finite number >= 0, 1/m, found {noise!r}")
-
-
 def _checked_out(out: Any, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     expected = (*depth.shape, 3)
     if not isinstance(out, np.ndarray) or out.shape != expected or out.dtype != np.float32:
@@ -134,3 +107,25 @@ def _checked_out(out: Any, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.flo
     if np.may_share_memory(out, depth):
         raise ArrayError("out: expected memory of its own, found the depth's; pass another array")
     return out
+
+
+def make_normals(given: Given) -> Made:
+    """Estimate a frame's normals by the recipe's method."""
+    recipe = given.recipe
+    normals = estimate_normals(
+        given.depth_m,
+        given.frame.camera,
+        method=recipe.normals,
+        sign_filter=recipe.sign_filter,
+        num_threads=1,
+        noise=recipe.noise,
+    )
+    return Made(normals)
+
+
+def describe_normals(recipe: Recipe) -> dict[str, Any]:
+    """Return what a store's attributes say of its normals."""
+    options: dict[str, Any] = {"sign_filter": recipe.sign_filter}
+    if recipe.normals == "nim-edge":
+        options = {"noise": "estimated" if recipe.noise is None else recipe.noise}
+    return {"method": recipe.normals, "parameters": {**options, "fill": recipe.fill}}

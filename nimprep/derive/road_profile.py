@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.derive.depth import checked_plane
+from nimprep.derive.disparity import baseline_parameters, disparity_of
+from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.road import find_road, grid_points
 from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
@@ -203,3 +206,19 @@ def restore_disparity(
 def _turn(profile: RoadProfile) -> tuple[float, float]:
     roll = math.radians(profile.roll_deg)
     return math.cos(roll), math.sin(roll)
+
+
+def make_transformed_disparity(given: Given) -> Made:
+    """Make a frame's transformed disparity; none where it shows no road."""
+    disparity = disparity_of(given)
+    profile = find_road_profile(disparity)
+    if profile is None:
+        return Made(None)
+    return Made(transform_disparity(disparity, profile, num_threads=1)[0])
+
+
+def describe_transformed_disparity(recipe: Recipe) -> dict[str, Any]:
+    """Return what a store's attributes say of its transformed disparity."""
+    meaning = "disparity less that of the road's fitted profile; 0 = on the road"
+    parameters = {**baseline_parameters(recipe), "transformed_disparity": meaning}
+    return {"method": "road-profile", "parameters": parameters}

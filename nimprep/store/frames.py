@@ -32,16 +32,17 @@ def to_integers(modality: Modality, image: npt.NDArray[Any]) -> npt.NDArray[Any]
 
 
 def _rounded(modality: Modality, numbers: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
-    from nimprep.kernels import planes, quantisation
-
     numbers = np.ascontiguousarray(numbers, np.float32)
     out = np.empty(numbers.shape, modality.dtype)
     if modality.beyond == "none":
-        quantisation.metres_to_millimetres(numbers, out)
-    elif modality.fill:
-        planes.signed_to_integers(numbers, modality.steps, out)
-    else:
-        planes.positives_to_integers(numbers, modality.steps, out)
+        from nimprep.kernels.quantisation import metres_to_millimetres
+
+        metres_to_millimetres(numbers, out)
+        return out
+    from nimprep.kernels.planes import positives_to_integers, signed_to_integers
+
+    round_into = signed_to_integers if modality.fill else positives_to_integers
+    round_into(numbers, modality.steps, out)
     return out
 
 

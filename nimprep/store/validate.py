@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nimprep.camera import Camera
-from nimprep.derive.modalities import recipe_from
+from nimprep.derive.recipe import recipe_from
 from nimprep.errors import NimprepError, StoreError
 from nimprep.schema import MAX_BYTES, schema_problems
 from nimprep.splits import SPLIT_CODES

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.modalities import DERIVED, derive, fill_frame, recipe_from
+from nimprep.derive.modalities import derive, fill_frame
+from nimprep.derive.recipe import DERIVED, recipe_from
 from nimprep.derive.threads import available_cores
 from nimprep.errors import NimprepError
 from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, ON_REQUEST, Frame
 from nimprep.modality import MODALITIES
-from nimprep.store.frames import depth_from_millimetres, normals_to_integers
+from nimprep.store.frames import depth_from_millimetres, to_integers
 from nimprep.store.reader import Store
 from nimprep.store.statistics import channel_sums
 
@@ -178,10 +179,8 @@ def _recomputed_problems(
         return [f"recomputation: {error}"]
     problems = []
     for name, again in derived.images.items():
-        stored = images[name]
-        if name == "normal":
-            again = normals_to_integers(again, str(stored.dtype))
-        apart = np.abs(again.astype(np.int32) - stored) > 1
+        again = to_integers(store.arrays[name].modality, again)
+        apart = np.abs(again.astype(np.int32) - images[name]) > 1
         apart = apart.any(axis=2) if apart.ndim == 3 else apart
         if apart.any():
             method = store.attributes["modalities"][name]["method"]

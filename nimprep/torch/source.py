@@ -11,7 +11,8 @@ from numcodecs import blosc
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
-from nimprep.derive.normals import METHODS, check_method, estimate_normals
+from nimprep.derive.methods import METHODS, check_method
+from nimprep.derive.normals import estimate_normals
 from nimprep.errors import ArrayError, StoreError
 from nimprep.frame import IGNORE_LABEL, PLANES
 from nimprep.kernels import samples

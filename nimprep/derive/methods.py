@@ -1,0 +1,36 @@
+"""The methods of `nimprep.derive.normals.estimate_normals`, and the options that each takes."""
+
+from __future__ import annotations
+
+import math
+
+from nimprep.errors import ArrayError
+
+METHODS = ("nim", "nim-edge")
+"""What `estimate_normals` takes as `method`."""
+
+
+def check_method(method: str, sign_filter: bool = False, noise: float | None = None) -> None:
+    """Check that a method exists and has the options given, and load what only it needs.
+
+    Loading compiles kernels when they are first used on a machine. That takes seconds, and should
+    be done before processes start that would all do it.
+
+    Raises
+    ------
+    ArrayError
+        As `estimate_normals` does.
+    """
+    if method not in METHODS:
+        known = ", ".join(repr(name) for name in METHODS)
+        raise ArrayError(f"method: expected one of {known}, found {method!r}")
+    if method == "nim-edge":
+        import nimprep.derive.normals_edge  # noqa: F401
+    if method == "nim-edge" and sign_filter:
+        raise ArrayError("sign_filter: expected False with 'nim-edge', found True; 'nim' has it")
+    if noise is None:
+        return
+    if method != "nim-edge":
+        raise ArrayError(f"noise: expected None with {method!r}, found {noise}; 'nim-edge' has it")
+    if not 0 <= noise < math.inf:
+        raise ArrayError(f"noise: expected a finite number >= 0, 1/m, found {noise!r}")

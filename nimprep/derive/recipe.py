@@ -1,0 +1,127 @@
+"""How derived modalities are made: the options, and what their makers take and give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.derive.methods import METHODS, check_method
+from nimprep.errors import ArrayError
+from nimprep.frame import VIRTUAL_BASELINE_M, Frame
+from nimprep.modality import MODALITIES
+
+DERIVED: tuple[str, ...] = tuple(name for name, m in MODALITIES.items() if m.derived is not None)
+"""The modalities that are made from others; those others come from the source."""
+
+FILLS = ("none", "nearest", "linear", "colorization")
+"""How holes in depth can be filled before anything is derived from it."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Say how the derived modalities are made.
+
+    Attributes
+    ----------
+    normals : str
+        Method of `estimate_normals`.
+    sign_filter : bool
+        Its option of that name.
+    fill : {"none", "nearest", "linear", "colorization"}
+        Method of `fill_depth` for what normals and HHA are made from.
+    store_filled : bool
+        Whether the store holds the filled depth in place of the raw one.
+    virtual_baseline_m : float
+        Baseline of the disparity of frames that have none, metres.
+    noise : float, optional
+        What `estimate_normals` takes by that name, 1/m.
+    """
+
+    normals: str = "nim"
+    sign_filter: bool = False
+    fill: str = "none"
+    store_filled: bool = False
+    virtual_baseline_m: float = VIRTUAL_BASELINE_M
+    noise: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.normals not in METHODS:
+            raise ArrayError(
+                f"normals: expected one of {', '.join(METHODS)}, found {self.normals!r}"
+            )
+        check_method(self.normals, self.sign_filter, self.noise)
+        if self.fill not in FILLS:
+            raise ArrayError(f"fill: expected one of {', '.join(FILLS)}, found {self.fill!r}")
+        if self.store_filled and self.fill == "none":
+            raise ArrayError("store_filled: expected a way to fill, found 'none'; give fill")
+
+    def describe(self, name: str) -> dict[str, Any]:
+        """Return what a store's metadata says of how a modality was made."""
+        modality = MODALITIES[name]
+        if modality.derived is not None:
+            described: dict[str, Any] = resolve_name(modality.derived.describe)(self)
+            return described
+        filled = modality.fillable and self.store_filled
+        return {"method": "source", "parameters": {"fill": self.fill} if filled else {}}
+
+
+def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
+    """Return the recipe that a store's `modalities` attribute describes."""
+    normal = modalities.get("normal", {"method": "nim", "parameters": {}})
+    noise = normal["parameters"].get("noise", "estimated")
+    derived = [modalities[m]["parameters"] for m in DERIVED if m in modalities]
+    stored = modalities.get("depth", {"parameters": {}})["parameters"]
+    return Recipe(
+        normals=normal["method"],
+        sign_filter=bool(normal["parameters"].get("sign_filter", False)),
+        fill=derived[0].get("fill", "none") if derived else stored.get("fill", "none"),
+        store_filled="fill" in stored,
+        virtual_baseline_m=float(
+            next(
+                (p["virtual_baseline_m"] for p in derived if "virtual_baseline_m" in p),
+                VIRTUAL_BASELINE_M,
+            )
+        ),
+        noise=None if noise == "estimated" else float(noise),
+    )
+
+
+@dataclass(frozen=True)
+class Given:
+    """Hold what a modality is made from.
+
+    Attributes
+    ----------
+    frame : Frame
+        What was measured, and the camera.
+    depth_m : (H, W) float32, metres
+        The frame's depth, its holes filled where the recipe says so.
+    missing : (H, W) bool, optional
+        Where it was filled; None = nowhere.
+    recipe : Recipe
+    """
+
+    frame: Frame
+    depth_m: npt.NDArray[np.float32]
+    missing: npt.NDArray[np.bool_] | None
+    recipe: Recipe
+
+
+class Made(NamedTuple):
+    """What a maker gives.
+
+    Attributes
+    ----------
+    image : array, optional
+        As a `Frame` has it; None = this frame has none anywhere, as one without a road.
+    gravity : (3,) float64, optional
+        Direction in the camera frame that it was made with.
+    """
+
+    image: npt.NDArray[Any] | None
+    gravity: npt.NDArray[np.float64] | None = None
