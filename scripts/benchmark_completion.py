@@ -24,7 +24,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import distance_transform_edt
 
 from nimprep.derive.completion import FILL_METHODS, fill_depth
-from nimprep.derive.threads import available_cores
+from nimprep.parallel import available_cores
 
 PROJECT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("NIMPREP_REFERENCE_DATA", PROJECT.parent / "shared" / "data"))

@@ -27,7 +27,7 @@ from scipy.signal import convolve2d
 
 from nimprep.camera import Camera
 from nimprep.derive.hha import encode_hha
-from nimprep.derive.threads import available_cores
+from nimprep.parallel import available_cores
 
 PROJECT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("NIMPREP_REFERENCE_DATA", PROJECT.parent / "shared" / "data"))

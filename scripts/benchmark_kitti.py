@@ -22,7 +22,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.threads import available_cores
 from nimprep.images import read_rgb
 from nimprep.kitti import evaluate_predictions, pack_submission
 from nimprep.kitti.calibration import Calibration, read_calibration
@@ -30,8 +29,8 @@ from nimprep.kitti.depth import millimetres_from_metres
 from nimprep.kitti.images import png_bytes, read_confidence
 from nimprep.kitti.lidar import project_lidar, read_velodyne
 from nimprep.kitti.names import official_names
-from nimprep.kitti.parallel import map_frames
 from nimprep.kitti.stereo import stereo_depth
+from nimprep.parallel import available_cores, map_frames
 
 PROJECT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("NIMPREP_REFERENCE_DATA", PROJECT.parent / "shared" / "data"))

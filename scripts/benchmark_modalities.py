@@ -20,8 +20,8 @@ import numpy as np
 
 import nimprep
 from nimprep import Camera
-from nimprep.derive.threads import available_cores
 from nimprep.frame import VIRTUAL_BASELINE_M
+from nimprep.parallel import available_cores
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.synthetic import render_frame
 

@@ -28,7 +28,7 @@ from numba import float32, int64, njit, void
 
 from nimprep import Camera, estimate_normals
 from nimprep.camera import D415_HORIZONTAL_FOV_DEG
-from nimprep.derive.threads import available_cores, run_blocks
+from nimprep.parallel import available_cores, run_blocks
 from nimprep.synthetic import render_frame
 
 Run = Callable[[], np.ndarray]

@@ -13,7 +13,7 @@ PACKAGE = Path(nimprep.__file__).parent
 LAYERS = [
     ["errors", "text", "compilation"],
     ["kernels", "folders"],
-    ["files", "camera", "modality", "frame"],
+    ["files", "parallel", "camera", "modality", "frame"],
     ["schema"],
     ["images", "splits", "metrics"],
     ["derive"],

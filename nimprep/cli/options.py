@@ -6,15 +6,17 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from nimprep.cli.echo import echo
 from nimprep.text import printable
 
+if TYPE_CHECKING:
+    from nimprep.parallel import Progress
+
 Command = TypeVar("Command", bound=Callable[..., Any])
-Progress = Callable[[str, int], Callable[[], None]]
 
 
 def parse_numbers(value: str, names: str, kind: type[int] | type[float]) -> tuple[Any, ...]:

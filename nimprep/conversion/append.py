@@ -33,11 +33,11 @@ from nimprep.conversion.records import (
     source_digest,
     tables,
 )
-from nimprep.conversion.run import Progress, Run
+from nimprep.conversion.run import Run
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import LocalWorkspace, open_workspace
-from nimprep.derive.threads import available_cores
 from nimprep.errors import StoreError
+from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import open_reader
 from nimprep.readers.subset import SubsetReader
 from nimprep.splits import SPLITS, extend_splits
@@ -139,7 +139,7 @@ def append_frames(
     options = replace(options or AppendOptions(), **changes)
     source, target = Path(source), _folder(store)
     check_apart(source, target)
-    start = progress or (lambda step, frames: lambda: None)
+    start = progress or no_progress
     with open_workspace(target, overwrite=True, task="append") as workspace:
         append = _Append(source, open_store(target), options, workspace)
         done = (append.finished() if workspace.published else None) or append.run(start)

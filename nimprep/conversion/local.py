@@ -6,10 +6,10 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from nimprep.conversion.encode import EncodedFrame
 from nimprep.conversion.job import Job, UnitBuilder
-from nimprep.conversion.records import SkippedFrame, UnitRecord
+from nimprep.conversion.records import UnitRecord
 from nimprep.errors import NimprepError
+from nimprep.parallel import in_order
 from nimprep.readers import Reader
 
 
@@ -34,18 +34,18 @@ def encode_units(
         A frame is bad or the disk full; the units before it have been yielded.
     """
     units = job.units()
-    frames = [(number, frame_id) for number in todo for frame_id in units[number]]
+    ids = [frame_id for number in todo for frame_id in units[number]]
     writing: deque[Future[UnitRecord]] = deque()
     with (
         ThreadPoolExecutor(workers, thread_name_prefix="nimprep") as pool,
         ThreadPoolExecutor(1, thread_name_prefix="nimprep-writer") as writer,
     ):
-        encoded = _in_order(pool, lambda i: job.encode(reader, i), frames, 2 * workers)
+        encoded = in_order(lambda i: pool.submit(job.encode, reader, i), ids, 2 * workers)
         try:
             for number in todo:
                 builder = UnitBuilder(number, job)
                 for _ in units[number]:
-                    builder.add(next(encoded))
+                    builder.add(next(encoded).result())
                     done()
                 writing.append(writer.submit(builder.write))
                 if len(writing) > 1:
@@ -59,23 +59,3 @@ def encode_units(
             encoded.close()
         while writing:
             yield writing.popleft().result()
-
-
-def _in_order(
-    pool: ThreadPoolExecutor,
-    function: Callable[[str], EncodedFrame | SkippedFrame],
-    frames: Sequence[tuple[int, str]],
-    ahead: int,
-) -> Generator[EncodedFrame | SkippedFrame]:
-    """Yield results in order with at most `ahead` in the works, so that memory stays bounded."""
-    waiting: deque[Future[EncodedFrame | SkippedFrame]] = deque()
-    try:
-        for _, frame_id in frames:
-            waiting.append(pool.submit(function, frame_id))
-            if len(waiting) >= ahead:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        for future in waiting:
-            future.cancel()

@@ -24,10 +24,9 @@ from nimprep.conversion.provenance import (
     parts,
 )
 from nimprep.conversion.records import depth_percentiles
-from nimprep.conversion.run import Progress
 from nimprep.conversion.workspace import open_workspace
-from nimprep.derive.threads import available_cores
 from nimprep.errors import SplitError, StoreError
+from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.store.reader import Store, open_store
 from nimprep.store.spec import PRESETS, TABLES
 from nimprep.store.writer import StoreLayout, StoreWriter
@@ -88,7 +87,7 @@ def merge_stores(
     check_alike(opened)
     merge = _Merge(opened, prefixes or [""] * len(opened), workers or available_cores())
     merge.check()
-    start = progress or (lambda step, frames: lambda: None)
+    start = progress or no_progress
     with open_workspace(target, overwrite=overwrite, task="merge") as workspace:
         workspace.clear()
         writer = StoreWriter(workspace.store, merge.layout())

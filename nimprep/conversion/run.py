@@ -20,17 +20,14 @@ from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_spl
 from nimprep.conversion.records import UnitRecord, depth_percentiles, source_digest, tables
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import Workspace
-from nimprep.derive.threads import available_cores
 from nimprep.errors import DecodeError, LayoutError, NimprepError
+from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
 from nimprep.store.location import is_url, storage_from
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import StoreWriter
-
-Progress = Callable[[str, int], Callable[[], None]]
-"""Called with a step's name and its number of frames; returns what to call after each frame."""
 
 
 def convert(
@@ -80,7 +77,7 @@ def convert(
     source, storage = Path(source), storage_from(target)
     if isinstance(storage, LocalStorage):
         check_apart(source, storage.root)
-    start = progress or (lambda step, frames: lambda: None)
+    start = progress or no_progress
     if options.scheduler is not None:
         from nimprep.conversion.distributed import check_scheduler
 

@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from nimprep.derive.colorization import fill_by_colorization
 from nimprep.derive.depth import checked_depth
-from nimprep.derive.threads import run_blocks
 from nimprep.errors import ArrayError
 from nimprep.kernels.completion_delaunay import triangulate
 from nimprep.kernels.completion_linear import border_points, fill_triangles
 from nimprep.kernels.completion_nearest import fill_nearest, nearest_rows
+from nimprep.parallel import run_blocks
 
 FillMethod = Literal["nearest", "linear", "colorization"]
 

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth, checked_plane
 from nimprep.derive.recipe import Given, Made, Recipe
-from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
 from nimprep.frame import VIRTUAL_BASELINE_M
 from nimprep.kernels.planes import reciprocal
+from nimprep.parallel import run_rows
 
 
 def disparity_from_depth(

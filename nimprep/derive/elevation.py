@@ -12,9 +12,9 @@ from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.road import find_road, grid_points
-from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
 from nimprep.kernels.planes import heights
+from nimprep.parallel import run_rows
 
 
 def estimate_road_plane(depth_m: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:

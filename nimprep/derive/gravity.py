@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
-from nimprep.derive.threads import run_blocks
 from nimprep.errors import ArrayError
 from nimprep.kernels.hha_gravity import wall_minus_floor
 from nimprep.kernels.hha_planes import inverse_depth, plane_block
+from nimprep.parallel import run_blocks
 
 BLOCK_ROWS = 32
 """Rows per unit of work. Fixed, so that sums do not depend on the number of threads."""

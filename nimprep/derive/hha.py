@@ -10,11 +10,11 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.derive.gravity import Scene, gravity_of_scene, scene_from_depth
 from nimprep.derive.recipe import Given, Made, Recipe
-from nimprep.derive.threads import run_blocks
 from nimprep.errors import ArrayError
 from nimprep.kernels.hha_channels import encode_block, lowest_block
 from nimprep.kernels.hha_lines import reference_normals
 from nimprep.kernels.hha_planes import plane_block
+from nimprep.parallel import run_blocks
 
 _RADIUS = 3
 _NO_ROTATION_BELOW_DEG = 0.1

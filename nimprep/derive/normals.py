@@ -12,9 +12,9 @@ from nimprep.derive.depth import checked_depth
 from nimprep.derive.methods import METHODS as METHODS
 from nimprep.derive.methods import check_method as check_method
 from nimprep.derive.recipe import Given, Made, Recipe
-from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
 from nimprep.kernels.normals import nim_rows
+from nimprep.parallel import run_rows
 
 
 def estimate_normals(

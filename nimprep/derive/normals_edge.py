@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.noise import DepthNoise, estimate_noise, noise_of_sigma
-from nimprep.derive.threads import run_blocks, run_rows
 from nimprep.kernels.normals_cells import REACH, cell_centres, cell_means, cell_planes
 from nimprep.kernels.normals_edge import edge_rows
+from nimprep.parallel import run_blocks, run_rows
 
 SIDES = (8, 16)
 """Sides of the cells that are smoothed over, pixels. Cells of 4 gained nothing on streets in

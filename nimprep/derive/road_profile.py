@@ -13,9 +13,9 @@ from nimprep.derive.depth import checked_plane
 from nimprep.derive.disparity import baseline_parameters, disparity_of
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.road import find_road, grid_points
-from nimprep.derive.threads import run_rows
 from nimprep.errors import ArrayError
 from nimprep.kernels.planes import over_profile, under_profile
+from nimprep.parallel import run_rows
 
 
 @dataclass(frozen=True)

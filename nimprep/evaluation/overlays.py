@@ -12,7 +12,7 @@ from nimprep.evaluation.predictions import prediction_files
 from nimprep.evaluation.run import read_guess, read_label_of
 from nimprep.evaluation.scores import BACKGROUND, or_none
 from nimprep.frame import IGNORE_LABEL
-from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.parallel import Progress, map_frames
 from nimprep.report.pictures import (
     NO_VALUE,
     Picture,

@@ -11,7 +11,7 @@ from nimprep.evaluation.comparison import DIGITS, HEADS, Comparison, Method
 from nimprep.evaluation.overlays import draw_frames, worst_frames
 from nimprep.evaluation.scores import MEASURES, Evaluation
 from nimprep.files import write_whole
-from nimprep.kitti.parallel import Progress
+from nimprep.parallel import Progress
 from nimprep.report.page import render_page
 from nimprep.store.reader import Store, open_store
 from nimprep.text import printable

@@ -19,8 +19,8 @@ from nimprep.evaluation.predictions import (
 )
 from nimprep.evaluation.scores import Evaluation
 from nimprep.frame import IGNORE_LABEL
-from nimprep.kitti.parallel import Progress, map_frames
 from nimprep.metrics import Counts, confusion_matrix
+from nimprep.parallel import Progress, map_frames
 from nimprep.store.reader import Store, open_store
 
 

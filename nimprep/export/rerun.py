@@ -29,7 +29,7 @@ from nimprep.camera import Camera
 from nimprep.errors import NimprepError
 from nimprep.frame import IGNORE_LABEL
 from nimprep.kitti.images import png_bytes
-from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.parallel import Progress, map_frames
 from nimprep.report.pictures import normal_picture
 from nimprep.splits import SPLIT_NAMES
 from nimprep.store.reader import Store

@@ -11,7 +11,7 @@ from nimprep.export.places import files_of, write_new
 from nimprep.export.selection import select_frames
 from nimprep.files import check_file, whole_file
 from nimprep.folders import check_folder, whole_folder
-from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.parallel import Progress, map_frames
 from nimprep.store.reader import Store, open_store
 
 Format = Literal["png", "rerun", "npz"]

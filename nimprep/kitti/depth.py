@@ -18,8 +18,8 @@ from nimprep.kitti.calibration import FRAME_SHAPES, Calibration, read_calibratio
 from nimprep.kitti.images import png_bytes
 from nimprep.kitti.layout import RoadFiles, list_road_files
 from nimprep.kitti.lidar import project_lidar, read_velodyne
-from nimprep.kitti.parallel import Progress, map_frames
 from nimprep.kitti.stereo import stereo_depth
+from nimprep.parallel import Progress, map_frames
 
 DepthSource = Literal["depth_u16", "lidar", "stereo"]
 

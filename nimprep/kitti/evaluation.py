@@ -16,8 +16,8 @@ from nimprep.errors import ArrayError, DecodeError, LayoutError
 from nimprep.kitti.bev import bring_to_bev, check_size, frame_calibration
 from nimprep.kitti.images import GroundTruth, read_confidence, read_ground_truth
 from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
-from nimprep.kitti.parallel import Progress, map_frames
 from nimprep.metrics import LEVELS, Counts, count_confidences, precision_recall_curve
+from nimprep.parallel import Progress, map_frames
 
 View = Literal["bev", "perspective"]
 

@@ -16,7 +16,7 @@ from nimprep.kitti.bev import bring_to_bev
 from nimprep.kitti.evaluation import View, listed, read_pair
 from nimprep.kitti.images import GroundTruth, png_bytes
 from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
-from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.parallel import Progress, map_frames
 
 TRUE_POSITIVE = (0, 255, 0)
 FALSE_NEGATIVE = (255, 0, 0)

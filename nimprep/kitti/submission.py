@@ -24,7 +24,7 @@ from nimprep.kitti.names import (
     official_names,
     prediction_name,
 )
-from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.parallel import Progress, map_frames
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from nimprep.images import read_header, read_label
 from nimprep.kitti.bev import bring_to_bev
 from nimprep.kitti.images import png_bytes, read_confidence
 from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
-from nimprep.kitti.parallel import Progress, map_frames
+from nimprep.parallel import Progress, map_frames
 
 
 def transform_folder(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy.typing as npt
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES
+from nimprep.parallel import map_in_order
 from nimprep.readers.base import DatasetInfo, Reader
 from nimprep.splits import SplitName
 
@@ -149,10 +149,9 @@ def find_invalid_sides(
 
     height, width = shapes.pop()
     rows, columns = np.zeros(height, dtype=bool), np.zeros(width, dtype=bool)
-    with ThreadPoolExecutor(workers) as pool:
-        for frame_rows, frame_columns in pool.map(valid_sides, reader.ids):
-            rows |= frame_rows
-            columns |= frame_columns
+    for frame_rows, frame_columns in map_in_order(valid_sides, reader.ids, workers):
+        rows |= frame_rows
+        columns |= frame_columns
     return Margins(*_ends(rows), *_ends(columns))
 
 

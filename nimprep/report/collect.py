@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.threads import available_cores
 from nimprep.frame import IGNORE_LABEL
+from nimprep.parallel import Progress, map_in_order, no_progress
 from nimprep.report.hashes import difference_hash
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store
@@ -35,8 +34,6 @@ _BLOCK = 16
 _DEPTH_LEVELS = 1 << 16
 _LEVELS = 256
 KNOWN = ("rgb", "depth", "normal", "hha", "label")
-
-Progress = Callable[[str, int], Callable[[], None]]
 
 
 @dataclass(eq=False)
@@ -160,7 +157,7 @@ def collect(
             if name not in KNOWN
         },
     )
-    done = progress("looking", number) if progress else lambda: None
+    done = (progress or no_progress)("looking", number)
     blocks = [range(i, min(i + _BLOCK, number)) for i in range(0, number, _BLOCK)]
 
     def work(frames: range) -> Sums:
@@ -170,15 +167,8 @@ def collect(
             done()
         return part
 
-    with ThreadPoolExecutor(num_threads or available_cores()) as pool:
-        futures = [pool.submit(work, block) for block in blocks]
-        try:
-            # Taken off the list as they come, so that their sums do not pile up.
-            while futures:
-                found.sums.add(futures.pop(0).result())
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    for part in map_in_order(work, blocks, num_threads):
+        found.sums.add(part)
     return found
 
 

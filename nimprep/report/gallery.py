@@ -5,13 +5,12 @@ from __future__ import annotations
 import base64
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 
-from nimprep.derive.threads import available_cores
+from nimprep.parallel import Progress, map_in_order, no_progress
 from nimprep.report.artist import Artist
-from nimprep.report.collect import Progress
 from nimprep.report.findings import Finding
 from nimprep.report.pictures import encode_picture
 from nimprep.splits import hash_order
@@ -97,22 +96,18 @@ def paint_gallery(
             pictures[name] = base64.b64encode(data).decode()
         return pictures
 
-    with ThreadPoolExecutor(available_cores()) as pool:
-        size = _size(pool, paint, order, limit)
-        expected = max(1, min(len(order), limit // _length(paint(size, order[0]))))
-        done = progress("drawing", expected) if progress else lambda: None
-        frames: dict[int, dict[str, str]] = {}
-        used = 0
-        step = 4 * available_cores()
-        for start in range(0, len(order), step):
-            batch = order[start : start + step]
-            painted = pool.map(partial(paint, size), batch)
-            for frame, pictures in zip(batch, painted, strict=True):
-                used += _length(pictures)
-                if used > limit:
-                    return Gallery(size[0], dict(sorted(frames.items())))
-                frames[frame] = pictures
-                done()
+    size = _size(paint, order, limit)
+    expected = max(1, min(len(order), limit // _length(paint(size, order[0]))))
+    done = (progress or no_progress)("drawing", expected)
+    frames: dict[int, dict[str, str]] = {}
+    used = 0
+    with closing(map_in_order(partial(paint, size), order)) as painted:
+        for frame, pictures in zip(order, painted, strict=True):
+            used += _length(pictures)
+            if used > limit:
+                break
+            frames[frame] = pictures
+            done()
     return Gallery(size[0], dict(sorted(frames.items())))
 
 
@@ -122,7 +117,6 @@ def _length(pictures: dict[str, str]) -> int:
 
 
 def _size(
-    pool: ThreadPoolExecutor,
     paint: Callable[[tuple[int, int], int], dict[str, str]],
     order: Sequence[int],
     limit: int,
@@ -131,7 +125,7 @@ def _size(
     number = min(_PROBES, len(order))
     probes = [order[i * len(order) // number] for i in range(number)]
     for size in SIZES[:-1]:
-        lengths = [_length(p) for p in pool.map(partial(paint, size), probes)]
+        lengths = [_length(p) for p in map_in_order(partial(paint, size), probes)]
         # A tenth in reserve: the probes are a sample.
         if 1.1 * sum(lengths) / number * len(order) <= limit:
             return size

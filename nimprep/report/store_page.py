@@ -9,9 +9,10 @@ from pathlib import Path
 from nimprep import __version__
 from nimprep.errors import StoreError
 from nimprep.files import check_file, write_whole
+from nimprep.parallel import Progress
 from nimprep.report.artist import Artist
 from nimprep.report.charts import make_charts
-from nimprep.report.collect import Collected, Progress, collect
+from nimprep.report.collect import Collected, collect
 from nimprep.report.contents import describe, gallery_data, legends
 from nimprep.report.figures import Chart
 from nimprep.report.findings import Finding, find

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 from nimprep.camera import Camera
 from nimprep.derive.recipe import recipe_from
 from nimprep.errors import NimprepError, StoreError
+from nimprep.parallel import Progress, map_in_order
 from nimprep.schema import MAX_BYTES, schema_problems
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.images import ImageArray, layout_problems
@@ -30,9 +30,6 @@ _PLAIN_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 _AT_ONCE = 8
 """Shards whose indices are asked for at once: each takes its time over a network."""
-
-_BATCH = 256
-"""Shards after which to see whether enough is known to be wrong."""
 
 MAX_PROBLEMS = 100
 """A report stops after as many problems; a damaged store would otherwise list every pixel."""
@@ -99,7 +96,7 @@ def validate_store(
     path: Place | Storage,
     *,
     deep: bool = False,
-    progress: Callable[[str, int], Callable[[], None]] | None = None,
+    progress: Progress | None = None,
 ) -> Report:
     """Check a store against format 1.0.
 
@@ -243,14 +240,13 @@ def check_arrays(store: Store, report: Report) -> None:
     shapes = {array.shape[1:3] for array in store.arrays.values()}
     if len(shapes) > 1:
         report.add(f"arrays: expected images of one size, found {sorted(shapes)}")
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        for name, images in store.arrays.items():
-            for start in range(0, len(images.shards), _BATCH):
-                some = images.shards[start : start + _BATCH]
-                for problem in pool.map(partial(_index_problem, images), some):
-                    if problem:
-                        report.add(f"{name}: {problem}")
-                    report.count("shards")
+    for name, images in store.arrays.items():
+        look = partial(_index_problem, images)
+        with closing(map_in_order(look, images.shards, _AT_ONCE)) as problems:
+            for problem in problems:
+                if problem:
+                    report.add(f"{name}: {problem}")
+                report.count("shards")
                 if report.full:
                     return
 

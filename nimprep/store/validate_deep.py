@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,19 +11,16 @@ import numpy.typing as npt
 
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import DERIVED, recipe_from
-from nimprep.derive.threads import available_cores
 from nimprep.errors import NimprepError
 from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, ON_REQUEST, Frame
 from nimprep.modality import MODALITIES
+from nimprep.parallel import Progress, available_cores, map_in_order, no_progress
 from nimprep.store.frames import depth_from_millimetres, to_integers
 from nimprep.store.reader import Store
 from nimprep.store.statistics import channel_sums
 
 if TYPE_CHECKING:
     from nimprep.store.validate import Report
-
-_BATCH = 256
-"""Frames after which to see whether enough is known to be wrong."""
 
 SAMPLE = 16
 """Derived modalities are made again on at most as many frames, spread over the store."""
@@ -33,10 +29,10 @@ SAMPLE = 16
 def check_pixels(
     store: Store,
     report: Report,
-    progress: Callable[[str, int], Callable[[], None]] | None,
+    progress: Progress | None,
 ) -> None:
     """Decode every chunk and check what it holds."""
-    done = progress("checking", len(store)) if progress else lambda: None
+    done = (progress or no_progress)("checking", len(store))
     step = -(-len(store) // SAMPLE)
 
     def check(number: int) -> list[str]:
@@ -46,12 +42,11 @@ def check_pixels(
 
     pixels = max(math.prod(array.shape[1:3]) for array in store.arrays.values())
     # The largest frames there can be take gigabytes each: no more of them than one at a time.
-    with ThreadPoolExecutor(min(available_cores(), max(1, MAX_PIXELS // pixels))) as pool:
-        for start in range(0, len(store), _BATCH):
-            numbers = range(len(store))[start : start + _BATCH]
-            for number, problems in zip(numbers, pool.map(check, numbers), strict=True):
-                for problem in problems:
-                    report.add(f"frame {number} ({store.ids[number]!r}): {problem}")
+    threads = min(available_cores(), max(1, MAX_PIXELS // pixels))
+    with closing(map_in_order(check, range(len(store)), threads)) as found:
+        for number, problems in enumerate(found):
+            for problem in problems:
+                report.add(f"frame {number} ({store.ids[number]!r}): {problem}")
             if report.full:
                 return
     report.count("chunks", len(store) * len(store.modalities))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 import cv2
@@ -16,6 +15,7 @@ from nimprep.camera import D415_HORIZONTAL_FOV_DEG, Camera
 from nimprep.errors import NimprepError
 from nimprep.folders import whole_folder
 from nimprep.frame import MAX_PIXELS
+from nimprep.parallel import available_cores, map_in_order
 from nimprep.synthetic.render import MIN_SIDE, SyntheticFrame, check_number, render_frame
 
 MAX_THREADS = 8
@@ -130,17 +130,10 @@ def _write_frames(
         _write_frame(folder, kinds, f"{index:06d}", render_frame(seed, index, camera, noise))
 
     at_once = max(1, MAX_PIXELS // (camera.height * camera.width))
-    threads = min(os.cpu_count() or 1, MAX_THREADS, frames, at_once)
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            pending = [pool.submit(write, index) for index in range(frames)]
-            for done in as_completed(pending):
-                done.result()
-                if progress is not None:
-                    progress(1)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    threads = min(available_cores(), MAX_THREADS, frames, at_once)
+    for _ in map_in_order(write, range(frames), threads):
+        if progress is not None:
+            progress(1)
 
 
 def _write_frame(folder: Path, kinds: list[str], frame_id: str, frame: SyntheticFrame) -> None:

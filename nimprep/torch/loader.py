@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Literal
@@ -12,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nimprep.derive.threads import available_cores
 from nimprep.errors import ArrayError
+from nimprep.parallel import available_cores, in_order
 from nimprep.store.storage import LocalStorage
 from nimprep.torch.batches import allocate, fill
 from nimprep.torch.collation import Batch, collate
@@ -30,6 +29,11 @@ class _Pending:
         self.batch = batch
         self._tasks = tasks
         self._pinned = pinned
+
+    def cancel(self) -> None:
+        """Drop the frames that have not begun."""
+        for task in self._tasks:
+            task.cancel()
 
     def result(self) -> dict[str, Any]:
         """Wait for every frame; an error in one of them is raised here."""
@@ -192,28 +196,23 @@ class StoreLoader:
         return batches
 
     def _run(self, batches: list[list[int]], epoch: int) -> Iterator[dict[str, Any]]:
-        waiting: deque[_Pending] = deque()
         spare: list[Batch] = []
-        rest = iter(batches)
         pool = ThreadPoolExecutor(self.num_threads, thread_name_prefix="nimprep-loader")
+
+        def submit(indices: list[int]) -> _Pending:
+            return self._submit(pool, indices, epoch, spare)
+
         try:
-            for indices in rest:
-                waiting.append(self._submit(pool, indices, epoch, spare))
-                if len(waiting) > self.prefetch:
-                    yield from self._handed_out(waiting.popleft(), spare)
-            while waiting:
-                yield from self._handed_out(waiting.popleft(), spare)
+            for pending in in_order(submit, batches, self.prefetch + 1):
+                batch = pending.result()
+                self._start += 1
+                yield batch
+                if self.reuse_buffers and pending.batch is not None:
+                    spare.append(pending.batch)
             self._epoch, self._start, self._begun = epoch + 1, 0, False
         finally:
             # Reached by an error and by leaving the loop too; waits for the frames in the works.
             pool.shutdown(wait=True, cancel_futures=True)
-
-    def _handed_out(self, pending: _Pending, spare: list[Batch]) -> Iterator[dict[str, Any]]:
-        batch = pending.result()
-        self._start += 1
-        yield batch
-        if self.reuse_buffers and pending.batch is not None:
-            spare.append(pending.batch)
 
     def _submit(
         self, pool: ThreadPoolExecutor, indices: list[int], epoch: int, spare: list[Batch]

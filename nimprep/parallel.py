@@ -1,12 +1,33 @@
-"""Share the blocks of one image among threads; kernels release the GIL, so they run at once."""
+"""Work on threads, over the rows of an image or over frames and files, and word of how far it is.
+
+Decoding, matching, compressing and the kernels release the GIL, so threads run at once.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from typing import Protocol, TypeVar
 
 from nimprep.errors import ArrayError
+
+Progress = Callable[[str, int], Callable[[], None]]
+"""Called with a step's name and its number of frames; returns what to call after each frame."""
+
+
+class Task(Protocol):
+    """What is in the works: a future, or several as one."""
+
+    def cancel(self) -> object:
+        """Drop it if it has not begun."""
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+AnyTask = TypeVar("AnyTask", bound=Task)
 
 _pool: ThreadPoolExecutor | None = None
 
@@ -74,6 +95,62 @@ def run_rows(
         function(block * rows, min((block + 1) * rows, height))
 
     run_blocks(run, -(-height // rows), num_threads)
+
+
+def in_order(
+    submit: Callable[[Item], AnyTask], items: Iterable[Item], ahead: int
+) -> Generator[AnyTask]:
+    """Submit items and yield their tasks in order, at most `ahead` in the works.
+
+    So memory stays bounded: whoever takes a task waits for it, and has a next one submitted only by
+    asking for it. Tasks that nobody asks for any more, after an error too, are cancelled.
+    """
+    waiting: deque[AnyTask] = deque()
+    try:
+        for item in items:
+            waiting.append(submit(item))
+            if len(waiting) >= ahead:
+                yield waiting.popleft()
+        while waiting:
+            yield waiting.popleft()
+    finally:
+        for task in waiting:
+            task.cancel()
+
+
+def map_in_order(
+    function: Callable[[Item], Result], items: Iterable[Item], num_threads: int | None = None
+) -> Generator[Result]:
+    """Yield the function's result for each item, in order, a few computed ahead.
+
+    The first error ends it; items not yet begun are dropped, then and when it is closed. At most
+    two results per thread (None = one thread per core) wait in memory.
+    """
+    threads = num_threads or available_cores()
+    with ThreadPoolExecutor(threads, thread_name_prefix="nimprep") as pool:
+        tasks = in_order(lambda item: pool.submit(function, item), items, 2 * threads)
+        with closing(tasks):
+            for task in tasks:
+                yield task.result()
+
+
+def map_frames(
+    step: str,
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    progress: Progress | None = None,
+) -> Iterator[Result]:
+    """Do as `map_in_order` on all cores, and tell `progress` of each result that was taken."""
+    done = (progress or no_progress)(step, len(items))
+    with closing(map_in_order(function, items)) as results:
+        for result in results:
+            yield result
+            done()
+
+
+def no_progress(step: str, frames: int) -> Callable[[], None]:
+    """Take the place of a `Progress` that nobody gave."""
+    return lambda: None
 
 
 def _work(function: Callable[[int], object], blocks: Iterator[int]) -> None:
