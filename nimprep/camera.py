@@ -9,7 +9,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import floats
 from nimprep.errors import CameraError
+
+RANGES: dict[str, tuple[float, float]] = {
+    "fx": (1e-3, 1e6),
+    "fy": (1e-3, 1e6),
+    "cx": (-1e6, 1e6),
+    "cy": (-1e6, 1e6),
+    "width": (1, 1 << 26),
+    "height": (1, 1 << 26),
+}
+"""The least and the most that each of a camera's numbers can be, pixels: what
+schemas/camera.schema.json says. Within them no ray and no plane leaves floating point."""
+
+MAX_BASELINE_M = 1000.0
+"""The largest stereo baseline, as there; the least lies beyond 0."""
 
 D415_HORIZONTAL_FOV_DEG = 69.4
 """Nominal horizontal field of view of the RealSense D415's colour camera, degrees (datasheet)."""
@@ -25,16 +40,16 @@ class Camera:
     Parameters
     ----------
     fx, fy : float
-        Focal lengths, pixels, positive.
+        Focal lengths, pixels, 0.001 to 1e6.
     cx, cy : float
-        Principal point, pixels; it may lie outside the image.
+        Principal point, pixels, -1e6 to 1e6; it may lie outside the image.
     width, height : int
-        Image size, pixels.
+        Image size, pixels, 1 to 2^26.
 
     Raises
     ------
     CameraError
-        A number is not finite, or a focal length or a size is not positive.
+        Something is no number or out of its range, or a size is not whole.
     """
 
     fx: float
@@ -45,17 +60,15 @@ class Camera:
     height: int
 
     def __post_init__(self) -> None:
-        for name in ("fx", "fy", "cx", "cy"):
-            value = float(getattr(self, name))
-            if not math.isfinite(value) or (name in ("fx", "fy") and value <= 0):
-                expected = "a positive number" if name in ("fx", "fy") else "a finite number"
-                raise CameraError(f"camera: expected {expected} for {name}, found {value:g}")
-            object.__setattr__(self, name, value)
-        for name in ("width", "height"):
-            size = getattr(self, name)
-            if int(size) != size or size <= 0:
-                raise CameraError(f"camera: expected a positive integer for {name}, found {size!r}")
-            object.__setattr__(self, name, int(size))
+        for name, (least, most) in RANGES.items():
+            value, whole = _number(getattr(self, name)), name in ("width", "height")
+            if not least <= value <= most or (whole and not value.is_integer()):
+                expected = "a whole number of" if whole else "a number of"
+                raise CameraError(
+                    f"camera: expected {expected} {least:g} to {most:g} pixels for {name}, "
+                    f"found {getattr(self, name)!s:.80}"
+                )
+            object.__setattr__(self, name, int(value) if whole else value)
 
     @classmethod
     def from_fov(cls, horizontal_fov_deg: float, width: int, height: int) -> Camera:
@@ -70,7 +83,10 @@ class Camera:
     @classmethod
     def from_matrix(cls, matrix: npt.ArrayLike, width: int, height: int) -> Camera:
         """Build from K, (3, 3), pixels; skew must be 0 and the last row (0, 0, 1)."""
-        k = np.asarray(matrix, dtype=np.float64)
+        try:
+            k = floats(matrix)
+        except (TypeError, ValueError) as error:
+            raise CameraError(f"camera: expected a (3, 3) matrix, found {error}") from error
         if k.shape != (3, 3):
             raise CameraError(f"camera: expected a (3, 3) matrix, found shape {k.shape}")
         if k[0, 1] != 0 or k[1, 0] != 0 or not np.array_equal(k[2], (0, 0, 1)):
@@ -106,7 +122,8 @@ class Camera:
 
     def resize(self, height: int, width: int) -> Camera:
         """Return the camera of the image resized to (height, width), outer edges aligned."""
-        sx, sy = width / self.width, height / self.height
+        new = replace(self, width=width, height=height)
+        sx, sy = new.width / self.width, new.height / self.height
         return Camera(
             fx=self.fx * sx,
             fy=self.fy * sy,
@@ -119,3 +136,14 @@ class Camera:
     def flip(self) -> Camera:
         """Return the camera of the image mirrored left to right."""
         return replace(self, cx=self.width - 1 - self.cx)
+
+
+def _number(value: Any) -> float:
+    """Return a number as a float, NaN for what is none: texts, truth values, what is masked."""
+    none = isinstance(value, (str, bytes, bool, np.bool_, complex, np.complexfloating))
+    if none or np.ndim(value) > 0 or np.ma.is_masked(value):
+        return math.nan
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan

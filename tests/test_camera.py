@@ -1,12 +1,16 @@
 import json
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from nimprep import Camera
+from nimprep.camera import MAX_BASELINE_M, RANGES
 from nimprep.errors import CameraError
 from nimprep.readers.cameras import camera_from_file
+from nimprep.schema import load_schema, schema_problems
 
 CAMERA = Camera(fx=500, fy=510, cx=310, cy=245, width=640, height=480)
 
@@ -51,15 +55,79 @@ def test_a_matrix_goes_round() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"fx": 0}, "positive number for fx"),
-        ({"cy": float("nan")}, "finite number for cy"),
-        ({"width": 0}, "positive integer for width"),
-        ({"height": 2.5}, "positive integer for height"),
+        ({"fx": 0}, r"0\.001 to 1e\+06 pixels for fx, found 0"),
+        ({"cy": float("nan")}, "number of .* pixels for cy, found nan"),
+        ({"width": 0}, "whole number of 1 .* pixels for width, found 0"),
+        ({"height": 2.5}, "whole number of .* pixels for height, found 2.5"),
     ],
 )
 def test_numbers_that_make_no_camera_are_refused(change: dict[str, float], words: str) -> None:
     with pytest.raises(CameraError, match=words):
         Camera(**{**CAMERA.to_dict(), **change})
+
+
+NUMBERS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 1e300, -1e300, 5e-324, 1e9, -1e9, 10**400)
+NO_NUMBERS = (None, "5", b"5", True, 1j, [5.0], np.array([5.0]), np.ma.masked)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((n, v) for n, (least, most) in RANGES.items() for v in NUMBERS if not least <= v <= most),
+        *((n, v) for n in RANGES for v in NO_NUMBERS),
+    ],
+    ids=lambda v: f"{v!s:.20}",
+)
+def test_no_number_out_of_its_range_makes_a_camera(name: str, value: Any) -> None:
+    with pytest.raises(CameraError, match=f"pixels for {name}, found "):
+        Camera(**{**CAMERA.to_dict(), name: value})
+
+
+def test_a_cameras_ranges_are_those_of_the_schema() -> None:
+    schema = load_schema("camera")["properties"]
+    assert {name: (schema[name]["minimum"], schema[name]["maximum"]) for name in RANGES} == RANGES
+    assert schema["baseline_m"]["maximum"] == MAX_BASELINE_M
+    least, most = ({name: ends[k] for name, ends in RANGES.items()} for k in (0, 1))
+    for numbers in (least, most):
+        assert not schema_problems(numbers, "camera")
+        assert Camera(**numbers).to_dict() == numbers
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_one_step_beyond_the_range_both_the_schema_and_the_camera_refuse(name: str) -> None:
+    for end, beyond in zip(RANGES[name], (-math.inf, math.inf), strict=True):
+        step = math.copysign(1, beyond) if name in ("width", "height") else 0
+        document = CAMERA.to_dict() | {name: end + step if step else math.nextafter(end, beyond)}
+        assert schema_problems(document, "camera")
+        with pytest.raises(CameraError, match=f"for {name}, found"):
+            Camera(**document)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: c.resize(1, 1),
+        lambda c: c.resize(0, 5),
+        lambda c: c.resize(5, math.nan),
+        lambda c: c.crop(0, 900_000, 10, 10),
+        lambda c: c.crop(0, math.nan, 10, 10),
+        lambda c: c.crop(0, 0, 10, 1.5),
+        lambda c: c.resize(1 << 26, 1 << 26),
+        lambda c: c.flip(),
+        lambda c: Camera.from_matrix(c.matrix * math.inf, 5, 5),
+        lambda c: Camera.from_matrix(np.diag([1e300, 1, 1]), 5, 5),
+        lambda c: Camera.from_matrix(np.ma.masked_equal(c.matrix, c.fx), 5, 5),
+        lambda c: Camera.from_matrix(np.ma.masked_equal(c.matrix, 0), 5, 5),
+        lambda c: Camera.from_matrix([[1, 0], [0, "x"]], 5, 5),
+        lambda c: Camera.from_matrix([["a"]], 5, 5),
+        lambda c: Camera.from_fov(math.nan, 5, 5),
+        lambda c: Camera.from_fov(179.9999999999, 5, 5),
+    ],
+)
+def test_what_is_made_of_a_camera_keeps_to_the_ranges(change: Any) -> None:
+    camera = Camera(fx=0.01, fy=0.01, cx=-200_000, cy=0, width=1_000_000, height=1_000_000)
+    with np.errstate(all="ignore"), pytest.raises(CameraError, match=r"^camera: expected "):
+        change(camera)
 
 
 def test_a_crop_outside_the_image_is_refused() -> None:

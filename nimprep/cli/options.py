@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -41,9 +40,14 @@ def _intrinsics(
 ) -> tuple[float, float, float, float] | None:
     if value is None:
         return None
+    from nimprep.camera import Camera
+    from nimprep.errors import CameraError
+
     fx, fy, cx, cy = parse_numbers(value, "fx,fy,cx,cy", float)
-    if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
-        raise click.BadParameter(f"expected finite pixels, fx and fy positive, found {value!r}")
+    try:
+        Camera(fx, fy, cx, cy, width=1, height=1)
+    except CameraError as error:
+        raise click.BadParameter(str(error)) from error
     return fx, fy, cx, cy
 
 

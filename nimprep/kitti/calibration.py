@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.errors import DecodeError
+from nimprep.errors import CameraError, DecodeError
 from nimprep.files import read_file
 
 Matrix = npt.NDArray[np.float64]
@@ -86,8 +86,17 @@ class Calibration:
         return self.matrix("P2")[:, :3]
 
     def camera(self, height: int, width: int) -> Camera:
-        """Return the image_2 camera at this image size."""
-        return Camera.from_matrix(self.intrinsics, width, height)
+        """Return the image_2 camera at this image size.
+
+        Raises
+        ------
+        CameraError
+            P2's numbers make no camera.
+        """
+        try:
+            return Camera.from_matrix(self.intrinsics, width, height)
+        except CameraError as error:
+            raise CameraError(f"{self.path}: {error}") from error
 
     @property
     def rect_to_cam(self) -> Matrix:
