@@ -13,7 +13,7 @@ PACKAGE = Path(nimprep.__file__).parent
 LAYERS = [
     ["errors", "text", "compilation"],
     ["kernels", "folders"],
-    ["files", "parallel", "camera", "modality", "frame"],
+    ["files", "arrays", "parallel", "camera", "modality", "frame"],
     ["schema"],
     ["images", "splits", "metrics"],
     ["derive"],

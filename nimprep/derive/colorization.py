@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import without_mask
 from nimprep.errors import ArrayError, NimprepError
 from nimprep.kernels.completion_colorization import colorization_equations
 
@@ -45,6 +46,7 @@ def fill_by_colorization(
     Levin et al., Colorization using optimization, SIGGRAPH 2004, eq. 1 and 2.
     """
     gray = _checked_gray(rgb, depth.shape)
+    known = depth[depth > 0]
     try:
         from scipy.sparse import csr_array
         from scipy.sparse.linalg import splu
@@ -73,14 +75,15 @@ def fill_by_colorization(
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
-    out[unknown] = solver.solve(right)[index[unknown]]
+    # A weighted mean lies between what it is of; rounding, where depths are very unlike, may not.
+    out[unknown] = np.clip(solver.solve(right)[index[unknown]], known.min(), known.max())
 
 
 def _checked_gray(rgb: Any, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
     """Return the grey picture, 0 to 1, as MATLAB's rgb2gray weighs it."""
     if rgb is None:
         raise ArrayError("rgb: expected the picture for colorization, found None; pass rgb=")
-    picture = np.asarray(rgb)
+    picture = without_mask(rgb, "rgb")
     if picture.dtype != np.uint8 or picture.shape not in (shape, (*shape, 3)):
         raise ArrayError(
             f"rgb: expected uint8 of shape {(*shape, 3)} or {shape}, "

@@ -37,7 +37,7 @@ def fill_depth(
     Parameters
     ----------
     depth_m : (H, W) floating array, metres
-        0 or NaN = no depth.
+        0, NaN, infinity and what is masked = none, as below 0.1 mm.
     method : {"linear", "nearest", "colorization"}
         How to fill; see Notes. "linear" leaves what lies outside the convex hull of the known
         pixels; the others fill every pixel.
@@ -118,6 +118,13 @@ def _fill_nearest(
 def _fill_linear(
     depth: npt.NDArray[np.float32], out: npt.NDArray[np.float32], num_threads: int | None
 ) -> None:
+    height, width = depth.shape
+    # What the triangulation's products and its numbers of edges can hold.
+    if 6 * (height**2 + width**2) * height * width >= 1 << 63 or 6 * depth.size >= 1 << 31:
+        raise ArrayError(
+            f"depth_m: expected a smaller image for 'linear', found {width}x{height}; "
+            "fill parts of it, or use 'nearest'"
+        )
     known = int(np.count_nonzero(depth))
     points = np.empty((known, 2), np.int64)
     points = points[: border_points(depth, points)]
@@ -125,7 +132,6 @@ def _fill_linear(
         return
     triangles = np.empty((2 * len(points), 3), np.int32)
     count = triangulate(points, triangles)
-    height = depth.shape[0]
     rows = -(-height // _BANDS)
 
     def interpolate(band: int) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.camera import Camera
+from nimprep.arrays import LEAST_DEPTH_M
+from nimprep.camera import MAX_BASELINE_M, Camera
 from nimprep.derive.depth import checked_depth, checked_plane
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.errors import ArrayError
@@ -30,11 +31,12 @@ def disparity_from_depth(
     Parameters
     ----------
     depth_m : (H, W) floating array, metres
-        Depth along z; 0 or NaN = none.
+        Depth along z; 0, NaN, infinity and what is masked = none, as below 0.1 mm.
     camera : Camera
         The pair's left one, of the image's size.
     baseline_m : float
-        Distance between the two cameras, metres; by default a virtual one, `VIRTUAL_BASELINE_M`.
+        Distance between the two cameras, metres, at most 1000; by default a virtual one,
+        `VIRTUAL_BASELINE_M`.
     num_threads : int, optional
         None = all cores; 1 = the calling thread alone. The result is the same.
 
@@ -47,11 +49,13 @@ def disparity_from_depth(
     Raises
     ------
     ArrayError
-        The depth is no floating (H, W) array of the camera's size or holds negative or infinite
-        values; the baseline is not positive.
+        The depth is no floating (H, W) array of the camera's size or holds negative values; the
+        baseline is not positive, or more than 1000 m.
     """
     depth = checked_depth(depth_m, camera)
-    return _divided(_reach(camera, baseline_m), depth, num_threads)
+    # Something very far still has a disparity: none is where there is no depth, nowhere else.
+    tiny = np.finfo(np.float32).tiny
+    return _divided(_reach(camera, baseline_m), depth, tiny, tiny, num_threads)
 
 
 def depth_from_disparity(
@@ -65,7 +69,7 @@ def depth_from_disparity(
     Parameters
     ----------
     disparity : (H, W) floating array, pixels
-        0 or NaN = none.
+        0, NaN, infinity and what is masked = none.
     camera : Camera
         The pair's left one, of the image's size.
     baseline_m : float
@@ -76,7 +80,7 @@ def depth_from_disparity(
     Returns
     -------
     (H, W) float32, metres
-        0 = none.
+        0 = none, also where it would be below 0.1 mm or too far for float32.
 
     Raises
     ------
@@ -84,23 +88,31 @@ def depth_from_disparity(
         As there, of the disparity.
     """
     values = checked_plane(disparity, "disparity", "pixels", camera)
-    return _divided(_reach(camera, baseline_m), values, num_threads)
+    least, none = np.float32(LEAST_DEPTH_M), np.float32(0)
+    return _divided(_reach(camera, baseline_m), values, least, none, num_threads)
 
 
 def _reach(camera: Camera, baseline_m: Any) -> float:
     baseline = float(baseline_m)
-    if not 0 < baseline < math.inf:
-        raise ArrayError(f"baseline_m: expected a positive number of metres, found {baseline:g}")
+    if not 0 < baseline <= MAX_BASELINE_M:
+        raise ArrayError(
+            f"baseline_m: expected a positive number of at most {MAX_BASELINE_M:g} metres, "
+            f"found {baseline:g}"
+        )
     return camera.fx * baseline
 
 
 def _divided(
-    reach: float, values: npt.NDArray[np.float32], num_threads: int | None
+    reach: float,
+    values: npt.NDArray[np.float32],
+    least: np.float32,
+    otherwise: np.float32,
+    num_threads: int | None,
 ) -> npt.NDArray[np.float32]:
     out = np.empty(values.shape, np.float32)
 
     def run(first: int, last: int) -> None:
-        reciprocal(values, first, last, reach, out)
+        reciprocal(values, first, last, reach, least, otherwise, out)
 
     run_rows(run, values.shape, num_threads)
     return out

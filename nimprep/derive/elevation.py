@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import floats
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
 from nimprep.derive.recipe import Given, Made, Recipe
@@ -23,7 +24,7 @@ def estimate_road_plane(depth_m: npt.ArrayLike, camera: Camera) -> npt.NDArray[n
     Parameters
     ----------
     depth_m : (H, W) floating array, metres
-        0 or NaN = none.
+        0, NaN, infinity and what is masked = none, as below 0.1 mm.
     camera : Camera
         Of the image's size.
 
@@ -37,8 +38,8 @@ def estimate_road_plane(depth_m: npt.ArrayLike, camera: Camera) -> npt.NDArray[n
     Raises
     ------
     ArrayError
-        The depth is no floating (H, W) array of the camera's size or holds negative or infinite
-        values; or there is no road in it, as `estimate_road_profile` says.
+        The depth is no floating (H, W) array of the camera's size or holds negative values; or
+        there is no road in it, as `estimate_road_profile` says.
 
     Notes
     -----
@@ -81,7 +82,7 @@ def road_plane(cam_to_road: npt.ArrayLike) -> npt.NDArray[np.float64]:
     ArrayError
         Another shape, values that are not finite, or no rotation.
     """
-    transform = np.asarray(cam_to_road, dtype=np.float64)
+    transform = floats(cam_to_road)
     if transform.shape != (3, 4) or not np.isfinite(transform).all():
         raise ArrayError(
             f"cam_to_road: expected (3, 4) finite numbers, found shape {transform.shape}"
@@ -100,7 +101,7 @@ def estimate_elevation(
     Parameters
     ----------
     depth_m : (H, W) floating array, metres
-        0 or NaN = none.
+        0, NaN, infinity and what is masked = none, as below 0.1 mm.
     camera : Camera
         Of the image's size.
     plane : (4,) array_like, optional
@@ -140,7 +141,7 @@ def estimate_elevation(
 
 
 def _checked(plane: Any, name: str) -> npt.NDArray[np.float64]:
-    values = np.asarray(plane, dtype=np.float64)
+    values = floats(plane)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise ArrayError(f"{name}: expected 4 finite numbers, found shape {values.shape}")
     length = math.sqrt(float(values[:3] @ values[:3]))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import unmasked
 from nimprep.camera import Camera
 from nimprep.derive.depth import checked_depth
 from nimprep.errors import ArrayError
@@ -36,12 +37,15 @@ class Scene:
         fx, fy, cx, cy in pixels.
     num_threads : int or None
         As `run_blocks` takes it.
+    filled : bool
+        Whether some of the depth is said to be filled in.
     """
 
     depth_m: npt.NDArray[np.float32]
     inverse: npt.NDArray[np.float64]
     camera: tuple[float, float, float, float]
     num_threads: int | None
+    filled: bool
 
     @property
     def blocks(self) -> list[tuple[int, int]]:
@@ -62,8 +66,9 @@ def scene_from_depth(
     """
     depth = checked_depth(depth_m, camera)
     mask = _checked_missing(missing, depth.shape)
+    filled = missing is not None and bool(mask.any())
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
-    scene = Scene(depth, np.empty(depth.shape, np.float64), numbers, num_threads)
+    scene = Scene(depth, np.empty(depth.shape, np.float64), numbers, num_threads, filled)
     counts = np.zeros((len(scene.blocks), 3), np.int64)
 
     def invert(block: int) -> None:
@@ -72,7 +77,7 @@ def scene_from_depth(
     run_blocks(invert, len(counts), num_threads)
     known, near, far = counts.sum(axis=0).tolist()
     if 2 * near > known or 2 * far > known:
-        raise ArrayError(_unit_message(float(np.median(depth[depth > 0]))))
+        raise ArrayError(_unit_message(float(np.median(depth[depth > 0].astype(np.float64)))))
     return scene
 
 
@@ -84,12 +89,12 @@ def estimate_gravity(
     Parameters
     ----------
     depth_m : (H, W) floating array, metres
-        0 or NaN = no depth.
+        0, NaN, infinity and what is masked = none, as below 0.1 mm.
     camera : Camera
         Its size must be the image's.
     missing : (H, W) bool, optional
-        True where the depth was filled in rather than measured; these pixels take no part in the
-        planes, as pixels without depth do not.
+        True, or masked, where the depth was filled in rather than measured; these pixels take no
+        part in the planes, as pixels without depth do not.
     num_threads : int, optional
         None = one thread per core, 1 = the calling thread alone. The result is the same.
 
@@ -165,7 +170,7 @@ def _next_direction(
 def _checked_missing(missing: Any, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     if missing is None:
         return np.zeros(shape, np.bool_)
-    mask = np.asarray(missing)
+    mask = unmasked(missing, True)
     if mask.dtype != np.bool_:
         raise ArrayError(
             f"missing: expected a bool mask, True where depth was filled in, found {mask.dtype}; "

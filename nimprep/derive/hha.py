@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import floats
 from nimprep.camera import Camera
 from nimprep.derive.gravity import Scene, gravity_of_scene, scene_from_depth
 from nimprep.derive.recipe import Given, Made, Recipe
@@ -50,13 +51,13 @@ def encode_hha(
     Parameters
     ----------
     depth_m : (H, W) floating array, metres
-        0 or NaN = no depth.
+        0, NaN, infinity and what is masked = none, as below 0.1 mm.
     camera : Camera
         Its size must be the image's. Pixels count from 0: a principal point counted from 1, as
         MATLAB calibrations have it, is one too large.
     missing : (H, W) bool, optional
-        True where the depth was filled in rather than measured. These pixels take part in the
-        points but not in the planes.
+        True, or masked, where the depth was filled in rather than measured. These pixels take part
+        in the points but not in the planes.
     gravity : (3,) array_like, optional
         Known direction of gravity in the camera frame (x right, y down, z forward), pointing down,
         of any length. Estimated where not given.
@@ -94,9 +95,7 @@ def encode_hha(
     known = None if gravity is None else _checked_gravity(gravity)
     scene = scene_from_depth(depth_m, camera, missing, num_threads)
     direction = gravity_of_scene(scene) if known is None else known
-    return _encode_scene(
-        scene, direction, repeat_lines=missing is not None and bool(np.any(missing))
-    )
+    return _encode_scene(scene, direction)
 
 
 def encode_hha_and_gravity(
@@ -105,13 +104,10 @@ def encode_hha_and_gravity(
     """Return what `encode_hha` and `estimate_gravity` do, in less time than one after the other."""
     scene = scene_from_depth(depth_m, camera, missing, num_threads)
     gravity = gravity_of_scene(scene)
-    repeat_lines = missing is not None and bool(np.any(missing))
-    return _encode_scene(scene, _checked_gravity(gravity), repeat_lines=repeat_lines), gravity
+    return _encode_scene(scene, _checked_gravity(gravity)), gravity
 
 
-def _encode_scene(
-    scene: Scene, gravity: npt.NDArray[np.float64], repeat_lines: bool
-) -> npt.NDArray[np.uint8]:
+def _encode_scene(scene: Scene, gravity: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
     out = np.empty((*scene.depth_m.shape, 3), np.uint8)
     blocks = scene.blocks
     tilt = np.degrees(np.arccos(np.clip(gravity[1], -1, 1)))
@@ -131,7 +127,7 @@ def _encode_scene(
         rows = blocks[block]
         normals = np.empty((3, rows[1] - rows[0], out.shape[1]))
         plane_block(scene.inverse, *rows, _RADIUS, scene.camera, normals, rows[0])
-        if repeat_lines:
+        if scene.filled:
             reference_normals(scene.depth_m, scene.inverse, *rows, scene.camera, normals)
         frame = scene.depth_m, normals, *rows, scene.camera
         encode_block(*frame, toward, down, ground, _ANGLE_LEVELS, out)
@@ -141,13 +137,15 @@ def _encode_scene(
 
 
 def _checked_gravity(gravity: Any) -> npt.NDArray[np.float64]:
-    vector = np.asarray(gravity, dtype=np.float64)
+    vector = floats(gravity)
     if vector.shape != (3,):
         raise ArrayError(f"gravity: expected 3 numbers, found shape {vector.shape}")
-    length = float(np.linalg.norm(vector))
-    if not np.isfinite(length) or length == 0:
+    largest = float(np.abs(vector).max())
+    if not 0 < largest < np.inf:
         raise ArrayError(f"gravity: expected a direction, found {vector.tolist()}")
-    return np.asarray(vector / length)
+    # Of the largest and the smallest numbers there are, the squares are infinite or 0.
+    vector = vector if 1e-100 < largest < 1e100 else vector / largest
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def make_hha(given: Given) -> Made:

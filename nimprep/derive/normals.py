@@ -31,7 +31,8 @@ def estimate_normals(
     Parameters
     ----------
     depth_m : (H, W) floating array, metres
-        Depth along z; 0 or NaN = none. Computed in float32.
+        Depth along z; 0, NaN, infinity and what is masked = none, as below 0.1 mm. Computed in
+        float32.
     camera : Camera
         Of the image's size.
     method : str
@@ -67,9 +68,9 @@ def estimate_normals(
     Raises
     ------
     ArrayError
-        The depth is no floating (H, W) array of the camera's size or holds negative or infinite
-        values; `out` does not fit; `method` is unknown, or has no such option; `noise` is
-        negative or not finite; `num_threads` is not positive.
+        The depth is no floating (H, W) array of the camera's size or holds negative values;
+        `out` does not fit; `method` is unknown, or has no such option; `noise` is negative or not
+        finite; `num_threads` is not positive.
 
     References
     ----------
@@ -102,6 +103,8 @@ def _checked_out(out: Any, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.flo
     if not isinstance(out, np.ndarray) or out.shape != expected or out.dtype != np.float32:
         found = f"{out.dtype} {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
         raise ArrayError(f"out: expected a float32 array of shape {expected}, found {found}")
+    if isinstance(out, np.ma.MaskedArray):
+        raise ArrayError("out: expected an array without a mask, found a masked one; pass out.data")
     if not out.flags.c_contiguous or not out.flags.writeable:
         raise ArrayError("out: expected a writable C-contiguous array, found one that is not")
     if np.may_share_memory(out, depth):

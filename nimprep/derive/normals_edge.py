@@ -109,8 +109,13 @@ def choose_smoothing(
     side = _side(noise, focal)
     averaging = min(1.0, (noise.length / side) ** 2)
     if noise.power == 0:
-        return Smoothing(side, (noise.sigma / scale) ** 2, 0.0, averaging)
-    return Smoothing(side, 0.0, (noise.sigma * scale) ** 2, averaging)
+        return Smoothing(side, _squared(noise.sigma / scale), 0.0, averaging)
+    return Smoothing(side, 0.0, _squared(noise.sigma * scale), averaging)
+
+
+def _squared(number: float) -> float:
+    # Infinity where ** would raise an OverflowError.
+    return number * number
 
 
 def _side(noise: DepthNoise, focal: float) -> int:

@@ -141,7 +141,11 @@ def _refined(points: RoadPoints, road: Road, bottom: float, curved: bool) -> Roa
             return None
         terms = [0, 1, 2, 3] if curved and number > 1 else [0, 1, 3]
         found = np.zeros(4)
-        found[terms] = np.linalg.solve(sums[np.ix_(terms, terms)], sums[terms, 4])
+        try:
+            found[terms] = np.linalg.solve(sums[np.ix_(terms, terms)], sums[terms, 4])
+        except np.linalg.LinAlgError:
+            # The pixels near it lie on one line.
+            return None
         if not found[1] > 0:
             return None
         before, tilt, levels = (tilt, levels), tilt + found[3] / found[1], found[:3]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import unmasked
 from nimprep.derive.depth import checked_plane
 from nimprep.derive.disparity import baseline_parameters, disparity_of
 from nimprep.derive.recipe import Given, Made, Recipe
@@ -35,11 +36,21 @@ class RoadProfile:
         c0, c1, c2: pixels of disparity, per pixel, per pixel².
     span : (float, float)
         Least and largest s at which the road was seen, pixels.
+
+    Raises
+    ------
+    ArrayError
+        A number is not finite.
     """
 
     roll_deg: float
     coefficients: tuple[float, float, float]
     span: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        numbers = (self.roll_deg, *self.coefficients, *self.span)
+        if len(numbers) != 6 or not all(math.isfinite(n) for n in numbers):
+            raise ArrayError(f"profile: expected 6 finite numbers, found {numbers}")
 
     def road_disparity(self, height: int, width: int) -> npt.NDArray[np.float32]:
         """Return the road's disparity at every pixel, (height, width) float32, pixels."""
@@ -52,7 +63,7 @@ def estimate_road_profile(disparity: npt.ArrayLike) -> RoadProfile:
     Parameters
     ----------
     disparity : (H, W) floating array, pixels
-        0 or NaN = none.
+        0, NaN, infinity and what is masked = none.
 
     Returns
     -------
@@ -62,7 +73,7 @@ def estimate_road_profile(disparity: npt.ArrayLike) -> RoadProfile:
     Raises
     ------
     ArrayError
-        No floating (H, W) array; negative or infinite values; or no road in it: no plane that
+        No floating (H, W) array; negative values; or no road in it: no plane that
         comes nearer downwards, is rolled by 30 degrees at most and has its horizon at most two
         image heights above the image's middle gets a tenth of the votes.
 
@@ -123,7 +134,7 @@ def transform_disparity(
     Parameters
     ----------
     disparity : (H, W) floating array, pixels
-        0 or NaN = none.
+        0, NaN, infinity and what is masked = none.
     profile : RoadProfile, optional
         None = estimated by `estimate_road_profile`.
     num_threads : int, optional
@@ -170,7 +181,7 @@ def restore_disparity(
     Parameters
     ----------
     transformed : (H, W) floating array, pixels
-        NaN = none.
+        NaN, infinity and what is masked = none.
     profile : RoadProfile
         What was taken out.
     num_threads : int, optional
@@ -179,7 +190,7 @@ def restore_disparity(
     Returns
     -------
     (H, W) float32, pixels
-        0 = none.
+        0 = none, and where less than nothing would be left.
 
     Raises
     ------
@@ -192,7 +203,9 @@ def restore_disparity(
             "transformed: expected a non-empty floating (H, W) array, "
             f"found {values.dtype} {values.shape}"
         )
-    values = np.ascontiguousarray(values, dtype=np.float32)
+    # What is beyond float32 becomes infinite there, which is none.
+    with np.errstate(over="ignore", under="ignore"):
+        values = np.ascontiguousarray(unmasked(transformed, np.nan), dtype=np.float32)
     out = np.empty(values.shape, np.float32)
     turn = _turn(profile)
 

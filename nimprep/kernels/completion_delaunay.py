@@ -3,8 +3,8 @@
 Points come in raster order, (v, u) increasing, which is the order that the division needs. An edge
 is a pair of directed edges, e and e ^ 1 (its reverse). Each knows the point it starts from and its
 neighbours in turn about that point: ``after`` counter-clockwise, ``before`` clockwise, in axes
-(v, u). Coordinates are integers, so every decision is exact for images up to 29,000 pixels wide:
-12 times the fourth power of the width stays below 2^63.
+(v, u). Coordinates are integers, so every decision is exact while 6 (H² + W²) H W stays below 2^63:
+for square images, up to 29,000 pixels wide.
 """
 
 from __future__ import annotations

@@ -62,9 +62,11 @@ def fill_triangles(depth, points, triangles, count, first, last, out):
         if top > bottom or (lowest - highest == 1 and right - left == 1):
             continue
         area = float((vb - va) * (uc - ua) - (ub - ua) * (vc - va))
-        za = float(depth[va, ua])
-        zb = depth[vb, ub] - za
-        zc = depth[vc, uc] - za
+        za, zb, zc = float(depth[va, ua]), float(depth[vb, ub]), float(depth[vc, uc])
+        # Where corners are very unlike, rounding would leave their range, even below 0.
+        nearest, farthest = min(za, zb, zc), max(za, zb, zc)
+        zb -= za
+        zc -= za
         slope_v = (zb * (uc - ua) - zc * (ub - ua)) / area
         slope_u = (zc * (vb - va) - zb * (vc - va)) / area
         for v in range(top, bottom + 1):
@@ -73,4 +75,5 @@ def fill_triangles(depth, points, triangles, count, first, last, out):
             span = _clip_span(points, c, a, v, span)
             for u in range(span[0], span[1] + 1):
                 if depth[v, u] == 0:
-                    out[v, u] = za + slope_v * (v - va) + slope_u * (u - ua)
+                    z = za + slope_v * (v - va) + slope_u * (u - ua)
+                    out[v, u] = min(max(z, nearest), farthest)

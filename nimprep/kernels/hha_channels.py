@@ -54,8 +54,9 @@ def _angle_row(x, y, z, gravity, table, thresholds, cosines, out):
     """
     for u in range(out.shape[0]):
         cosine = x[u] * gravity[0] + y[u] * gravity[1] + z[u] * gravity[2]
-        none = x[u] * x[u] + y[u] * y[u] + z[u] * z[u] == 0
-        cosines[u] = -1.0 if none else min(max(cosine, -1.0), 1.0)
+        some = x[u] * x[u] + y[u] * y[u] + z[u] * z[u] > 0
+        # Told so that NaN becomes -1: what comes of this is an index.
+        cosines[u] = min(cosine, 1.0) if some & (cosine > -1.0) else -1.0
     bins = (table.shape[0] - 1) / 2
     for u in range(out.shape[0]):
         level = table[int((cosines[u] + 1) * bins)]

@@ -143,7 +143,9 @@ def _solve_row(sums, dv, v, camera, out_x, out_y, out_z):
         x = n * a * fx
         y = n * b * fy
         z = c + n * a * (cx - u) + n * b * (cy - v)
-        scale = 1 / np.sqrt(x * x + y * y + z * z) if det > 0 else 0.0
+        # All three are 0 where rounding has left nothing of very small inverse depths.
+        square = x * x + y * y + z * z
+        scale = 1 / np.sqrt(square) if (det > 0) & (square > 0) else 0.0
         if c < 0 or (c == 0 and z < 0):
             scale = -scale
         out_x[u] = x * scale

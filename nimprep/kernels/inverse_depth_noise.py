@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import float32, float64, int64, void
+from numba import float32, float64, int64, types, void
 
 from nimprep.compilation.decorator import kernel
+
+_DEPTH = types.Array(float32, 2, "C", readonly=True)
 
 SAMPLES = 24
 """Rows and columns of the grid of samples."""
 
 
-@kernel(
-    void(float32[:, ::1], int64[::1], int64[::1], float64[::1], float64[:, ::1], float64[:, ::1])
-)
+@kernel(void(_DEPTH, int64[::1], int64[::1], float64[::1], float64[:, ::1], float64[:, ::1]))
 def second_differences(
     depth_m: npt.NDArray[np.float32],
     lags: npt.NDArray[np.int64],

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import boolean, float32, float64, int64, void
+from numba import boolean, float32, float64, int64, types, void
 
 from nimprep.compilation.decorator import kernel
 
@@ -45,6 +45,9 @@ SIGN_BIT = np.int32(-0x80000000)
 # Flags that assume nothing of NaN and infinity. They let 1 / sqrt(x) become the processor's
 # estimate and a Newton step, and saved 12 % where that was measured.
 FASTMATH = {"contract", "arcp", "nsz", "reassoc"}
+
+# Callers' arrays may be read-only; this type takes both kinds.
+_DEPTH = types.Array(float32, 2, "C", readonly=True)
 
 
 # LLVM leaves functions of this size out of line, and does not vectorise a loop with calls in it.
@@ -189,7 +192,7 @@ def _copy_row(row: npt.NDArray[np.float32], padded: npt.NDArray[np.float32]) -> 
 
 @kernel(
     void(
-        float32[:, ::1],
+        _DEPTH,
         int64,
         int64,
         float64,

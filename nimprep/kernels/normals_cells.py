@@ -12,7 +12,7 @@ stride: told from several arrays, whose places LLVM must compare first, it gave 
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int64, void
+from numba import float32, int64, types, void
 
 from nimprep.compilation.decorator import kernel
 from nimprep.kernels.inverse_depth_gradient import (
@@ -29,6 +29,8 @@ from nimprep.kernels.inverse_depth_gradient import (
     noise_floor,
     weight_of,
 )
+
+_DEPTH = types.Array(float32, 2, "C", readonly=True)
 
 REACH = 3
 """How many cells to each side take part in a cell's plane."""
@@ -60,7 +62,7 @@ Noise = tuple[np.float32, np.float32, np.float32]
 Sums = tuple[np.float32, np.float32, np.float32, np.float32, np.float32]
 
 
-@kernel(void(float32[:, ::1], int64, int64, int64, float32, float32[:, :, ::1]), fastmath=FASTMATH)
+@kernel(void(_DEPTH, int64, int64, int64, float32, float32[:, :, ::1]), fastmath=FASTMATH)
 def cell_means(
     depth_m: Image, row_start: int, row_stop: int, side: int, scale: np.float32, out: Image
 ) -> None:

@@ -12,7 +12,7 @@ is then 1 before n is turned, so that the sign is known without a product. g is 
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, int64, void
+from numba import float32, float64, int64, types, void
 
 from nimprep.compilation.decorator import kernel
 from nimprep.kernels.inverse_depth_gradient import (
@@ -29,6 +29,8 @@ from nimprep.kernels.inverse_depth_gradient import (
     noise_floor,
     weight_of,
 )
+
+_DEPTH = types.Array(float32, 2, "C", readonly=True)
 
 # Of a pixel's own gradient, and of the distance by which another's plane misses it.
 OWN, MISS = np.float32(8), np.float32(8)
@@ -197,7 +199,7 @@ def _advance(
 
 @kernel(
     void(
-        float32[:, ::1],
+        _DEPTH,
         int64,
         int64,
         float64,

@@ -13,14 +13,22 @@ from nimprep.compilation.decorator import kernel
 _PLANE = types.Array(float32, 2, "C", readonly=True)
 
 
-@kernel(void(_PLANE, int64, int64, float64, float32[:, ::1]))
-def reciprocal(values, first, last, factor, out):
-    """Write factor / value of rows first..last-1, and 0 where the value is 0."""
+_MOST = np.float32(3.4028235e38)
+
+
+@kernel(void(_PLANE, int64, int64, float64, float32, float32, float32[:, ::1]))
+def reciprocal(values, first, last, factor, least, otherwise, out):
+    """Write factor / value of rows first..last-1, and 0 where the value is 0.
+
+    A quotient below ``least`` or beyond float32 is replaced by ``otherwise``.
+    """
     numerator = np.float32(factor)
     for v in range(first, last):
         for u in range(values.shape[1]):
             value = values[v, u]
-            out[v, u] = numerator / value if value > 0 else np.float32(0)
+            quotient = numerator / value
+            quotient = quotient if (quotient >= least) & (quotient <= _MOST) else otherwise
+            out[v, u] = quotient if value > 0 else np.float32(0)
 
 
 @kernel(
@@ -45,8 +53,10 @@ def heights(depth, first, last, camera, plane, out):
         start = plane[1] * (v - cy) / fy + plane[2] - across * cx
         for u in range(depth.shape[1]):
             z = depth[v, u]
-            height = np.float32(z * (start + across * u) + plane[3])
-            out[v, u] = height if z > 0 else none
+            height = z * (start + across * u) + plane[3]
+            # What is farther than float32 can say is at its ends, and stays a number.
+            height = min(max(height, -_MOST), _MOST)
+            out[v, u] = np.float32(height) if z > 0 else none
 
 
 @kernel(float64(float64, types.UniTuple(float64, 3), types.UniTuple(float64, 2)))
@@ -79,7 +89,7 @@ def over_profile(disparity, first, last, turn, coefficients, span, out):
         for u in range(disparity.shape[1]):
             level = road_level(v * turn[0] + u * turn[1], coefficients, span)
             value = disparity[v, u]
-            out[v, u] = np.float32(value - level) if value > 0 else none
+            out[v, u] = np.float32(max(value - level, -_MOST)) if value > 0 else none
 
 
 @kernel(
@@ -94,12 +104,17 @@ def over_profile(disparity, first, last, turn, coefficients, span, out):
     )
 )
 def under_profile(transformed, first, last, turn, coefficients, span, out):
-    """Undo `over_profile`: write the disparity of rows first..last-1, 0 where there is none."""
+    """Undo `over_profile`: write the disparity of rows first..last-1, 0 where there is none.
+
+    NaN and infinity are none, and so is what would be negative: farther than the horizon.
+    """
     for v in range(first, last):
         for u in range(transformed.shape[1]):
             level = road_level(v * turn[0] + u * turn[1], coefficients, span)
             value = transformed[v, u]
-            out[v, u] = np.float32(value + level) if not np.isnan(value) else np.float32(0)
+            restored = min(value + level, _MOST)
+            some = (abs(value) <= _MOST) & (restored > 0)  # NaN is not
+            out[v, u] = np.float32(restored) if some else np.float32(0)
 
 
 @kernel(void(_PLANE, float64, types.Array(types.uint16, 2, "C")))

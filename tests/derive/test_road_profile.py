@@ -199,7 +199,7 @@ def test_an_image_without_a_road_is_refused(disparity):
     ("call", "message"),
     [
         (lambda: transform_disparity(np.ones((2, 2), int)), "floating-point pixels, found int64"),
-        (lambda: transform_disparity(-np.ones((2, 2))), "found a negative value"),
+        (lambda: transform_disparity(-np.ones((2, 2))), "found -1 at pixel"),
         (lambda: restore_disparity(np.ones(3), RoadProfile(0, (0, 0, 0), (0, 0))), "transformed: "),
         (lambda: transform_disparity(np.ones((2, 2)), num_threads=0), "num_threads|road"),
     ],
