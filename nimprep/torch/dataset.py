@@ -16,7 +16,7 @@ from nimprep.errors import ArrayError, StoreError
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import Storage
-from nimprep.torch.batches import allocate, fill
+from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
 from nimprep.torch.setups import CHANNELS, select
@@ -137,9 +137,9 @@ class StoreDataset(Dataset[dict[str, Any]]):
         epoch = self.epoch
         if self.transform is not None:
             return Batch(collate([self.sample(index, epoch) for index in indices]))
-        batch = allocate(self, len(indices))
+        batch = self.allocate(len(indices))
         for position, index in enumerate(indices):
-            fill(self, batch, position, self._checked(index))
+            self.fill(batch, position, self._checked(index))
         return batch
 
     def sample(self, index: SupportsIndex, epoch: int) -> Sample:
@@ -154,12 +154,24 @@ class StoreDataset(Dataset[dict[str, Any]]):
         """
         number = self._checked(index)
         if self.transform is None:
-            batch = allocate(self, 1)
-            fill(self, batch, 0, number)
+            batch = self.allocate(1)
+            self.fill(batch, 0, number)
             return Sample({name: _only(value) for name, value in batch.items()})
         raw = self._raw(number)
         raw["generator"] = torch.Generator().manual_seed(_seed(self.seed, epoch, number))
         return self._assembled(self.transform(raw))
+
+    def allocate(self, count: int, *, pinned: bool = False) -> Batch:
+        """Return a batch of so many frames for `fill`; without a transform only."""
+        return self._maker.allocate(count, pinned=pinned)
+
+    def fill(self, batch: Batch, position: int, index: int) -> None:
+        """Decode the sample of an index into its place in a batch, as `BatchMaker.fill` does."""
+        self._maker.fill(batch, position, int(self.indices[index]))
+
+    @property
+    def _maker(self) -> BatchMaker:
+        return BatchMaker(self.source, self.selection, self.scaling, self.dtype)
 
     def _checked(self, index: SupportsIndex) -> int:
         number = operator.index(index)

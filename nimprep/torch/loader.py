@@ -14,7 +14,6 @@ from torch import Tensor
 from nimprep.errors import ArrayError
 from nimprep.parallel import available_cores, in_order
 from nimprep.store.storage import LocalStorage
-from nimprep.torch.batches import allocate, fill
 from nimprep.torch.collation import Batch, collate
 from nimprep.torch.dataset import StoreDataset
 
@@ -224,9 +223,9 @@ class StoreLoader:
         if spare and len(spare[0]["id"]) == len(indices):
             batch = spare.pop(0)
         else:
-            batch = allocate(dataset, len(indices), pinned=self.pin_memory)
+            batch = dataset.allocate(len(indices), pinned=self.pin_memory)
         filled = [
-            pool.submit(fill, dataset, batch, position, index)
+            pool.submit(dataset.fill, batch, position, index)
             for position, index in enumerate(indices)
         ]
         return _Pending(batch, filled, self.pin_memory)
