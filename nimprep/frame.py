@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep import modality
 from nimprep.camera import Camera
+from nimprep.errors import ArrayError
 from nimprep.modality import modality_name as modality_name
 
 IGNORE_LABEL: int = modality.MODALITIES["label"].fill
@@ -62,6 +64,8 @@ class Frame:
         Height over the road's plane; NaN = none.
     label : (H, W) uint8, optional
         Class ids; 255 = ignore.
+    others : mapping of str to array
+        The images of further modalities, by name.
     group : str
         The scene the frame belongs to; "" = none known.
     baseline_m : float
@@ -80,9 +84,25 @@ class Frame:
     transformed_disparity: npt.NDArray[np.float32] | None = None
     elevation: npt.NDArray[np.float32] | None = None
     label: npt.NDArray[np.uint8] | None = None
+    others: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
     group: str = ""
     baseline_m: float = float("nan")
     cam_to_road: npt.NDArray[np.float64] | None = None
+
+    def image(self, name: str) -> npt.NDArray[Any] | None:
+        """Return the image of a modality by its name, an attribute or one of `others`.
+
+        Raises
+        ------
+        ArrayError
+            There is no such modality.
+        """
+        if name not in modality.MODALITIES:
+            known = ", ".join(modality.MODALITIES)
+            raise ArrayError(f"image: expected one of {known}, found {name!r}")
+        attribute = modality.MODALITIES[name].attribute or name
+        found: npt.NDArray[Any] | None = getattr(self, attribute, self.others.get(name))
+        return found
 
 
 # Kept for a release, for those who import them: `nimprep.modality` says all of this.

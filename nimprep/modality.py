@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -66,6 +67,8 @@ class Modality:
         What numbers become that the integers cannot say.
     fillable : bool
         Whether its holes can be filled before others are made from it.
+    attribute : str
+        What a `Frame` calls it; "" = its name, if it has an attribute of its own there.
     derived : Derivation, optional
         None = it comes from the source.
     on_request : bool
@@ -84,6 +87,7 @@ class Modality:
     fill: int = 0
     beyond: Literal["nearest", "none"] = "nearest"
     fillable: bool = False
+    attribute: str = ""
     derived: Derivation | None = None
     on_request: bool = False
 
@@ -132,6 +136,7 @@ MODALITIES: dict[str, Modality] = {
             steps=1000,
             beyond="none",
             fillable=True,
+            attribute="depth_m",
         ),
         Modality(
             name="normal",
@@ -210,6 +215,12 @@ MODALITIES: dict[str, Modality] = {
     )
 }
 """Every image a frame can hold, in the order in which they are listed everywhere."""
+
+
+def sources_of(names: Iterable[str]) -> set[str]:
+    """Return the modalities of a dataset that these are, or are made from."""
+    derived = {name: MODALITIES[name].derived for name in names}
+    return {s for name, made in derived.items() for s in (made.sources if made else (name,))}
 
 
 def modality_name(name: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 from pkgutil import resolve_name
 
@@ -12,10 +13,13 @@ import numpy as np
 import pytest
 
 from nimprep import frame
+from nimprep.camera import Camera
 from nimprep.derive.recipe import DERIVED, Recipe
+from nimprep.errors import ArrayError
+from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
 from nimprep.schema import load_schema
-from nimprep.store.spec import NORMAL_SCALES, image_spec, stored_modalities
+from nimprep.store.spec import NORMAL_SCALES, TABLES, image_spec, stored_modalities
 
 SCHEMAS = Path(__file__).parent.parent / "schemas"
 
@@ -81,3 +85,22 @@ def test_a_record_imports_no_kernels() -> None:
     code = "import sys, nimprep.modality; print({'numba', 'cv2', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
+
+
+def test_an_image_of_a_frame_is_found_by_its_modalitys_name() -> None:
+    camera = Camera(10, 10, 1, 1, 3, 2)
+    depth = np.ones((2, 3), np.float32)
+    thermal = np.full((2, 3), 290, np.float32)
+    taken = Frame("a", camera, depth_m=depth, others={"normal": thermal, "thermal": thermal})
+    assert taken.image("depth") is depth
+    assert taken.image("normal") is None
+    with pytest.raises(ArrayError, match=r"image: expected one of rgb, .*, found 'thermal'"):
+        taken.image("thermal")
+
+
+def test_no_modality_has_the_name_of_what_else_a_frame_or_a_store_has() -> None:
+    attributes = {modality.attribute or name for name, modality in MODALITIES.items()}
+    images = {f.name for f in fields(Frame) if "NDArray" in str(f.type)} - {"others", "cam_to_road"}
+    assert images <= attributes
+    taken = {f.name for f in fields(Frame)} - images
+    assert not {*MODALITIES, *attributes} & {*taken, *TABLES}

@@ -11,9 +11,10 @@ import numpy.typing as npt
 from nimprep.conversion.records import DEPTHS, FrameFacts
 from nimprep.conversion.sources import FileState, changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import derive, fill_frame
-from nimprep.derive.recipe import DERIVED, Recipe
+from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError, DecodeError
 from nimprep.frame import Frame
+from nimprep.modality import MODALITIES, sources_of
 from nimprep.readers.base import Reader
 from nimprep.store.frames import (
     depth_from_millimetres,
@@ -75,9 +76,7 @@ def encode_frame(
         A file is damaged, holds what cannot be, or changed meanwhile; it is named.
     """
     state = frame_state(reader, frame_id) if state is None else state
-    wanted = set(layout.modalities)
-    if wanted & set(DERIVED):
-        wanted.add("depth")
+    wanted = sources_of(layout.modalities)
     if recipe.fill == "colorization":
         wanted.add("rgb")
     frame = reader.read(frame_id, wanted)
@@ -124,30 +123,27 @@ def _stored_images(
     frame: Frame, layout: StoreLayout, recipe: Recipe
 ) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.float64]]:
     """Return the frame's images as the store holds them, and the direction of gravity."""
-    copied = {"rgb": frame.rgb, "label": frame.label}
-    stored: dict[str, npt.NDArray[Any]] = {n: i for n, i in copied.items() if i is not None}
+    given = {n: frame.image(n) for n, m in MODALITIES.items() if m.derived is None}
+    stored = {n: to_integers(layout.modality(n), i) for n, i in given.items() if i is not None}
     missing = None
-    if frame.depth_m is not None:
+    if "depth" in stored:
         # From here on depth is what the store says it is: what is derived can be made again.
-        frame, stored["depth"] = _as_stored(frame, frame.depth_m)
-        frame, missing = fill_frame(frame, recipe)
+        frame, missing = fill_frame(_with_depth(frame, stored["depth"]), recipe)
         if recipe.store_filled and frame.depth_m is not None:
-            frame, stored["depth"] = _as_stored(frame, frame.depth_m)
+            stored["depth"] = depth_to_millimetres(frame.depth_m)
+            frame = _with_depth(frame, stored["depth"])
     derived = derive(frame, missing, layout.modalities, recipe)
     stored |= {n: to_integers(layout.modality(n), i) for n, i in derived.images.items()}
     return stored, derived.gravity
 
 
-def _as_stored(
-    frame: Frame, depth_m: npt.NDArray[np.float32]
-) -> tuple[Frame, npt.NDArray[np.uint16]]:
-    """Round depth to what a store can say; return the frame with it, and it in millimetres."""
-    millimetres = depth_to_millimetres(depth_m)
+def _with_depth(frame: Frame, millimetres: npt.NDArray[np.uint16]) -> Frame:
+    """Return the frame with its depth as the store holds it, which must be some."""
     if not millimetres.any():
         raise ArrayError(
             "expected depth of 0.5 mm to 65.535 m somewhere, found none; check --depth-scale"
         )
-    return replace(frame, depth_m=depth_from_millimetres(millimetres)), millimetres
+    return replace(frame, depth_m=depth_from_millimetres(millimetres))
 
 
 def _chunks(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from nimprep.derive.recipe import DERIVED, Recipe
+from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError
-from nimprep.modality import MODALITIES, modality_name
+from nimprep.modality import MODALITIES, modality_name, sources_of
 from nimprep.readers import ReaderOptions
 from nimprep.readers.cameras import CameraSource, camera_from_file, camera_from_intrinsics
 from nimprep.splits import SPLIT_RULES
@@ -161,7 +161,7 @@ class ConvertOptions:
     @property
     def needs_depth(self) -> bool:
         """Whether any modality to be stored is depth or made from it."""
-        return self.modalities is None or not {"depth", *DERIVED}.isdisjoint(self.modalities)
+        return self.modalities is None or "depth" in sources_of(self.modalities)
 
     @property
     def recipe(self) -> Recipe:

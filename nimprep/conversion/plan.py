@@ -9,9 +9,9 @@ from typing import Any
 
 from nimprep import __version__
 from nimprep.conversion.options import ConvertOptions
-from nimprep.derive.recipe import DERIVED, Recipe
+from nimprep.derive.recipe import Recipe
 from nimprep.errors import LayoutError, StoreError
-from nimprep.modality import MODALITIES, Modality
+from nimprep.modality import MODALITIES, Modality, sources_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.splits import SplitName, assign_splits, splits_from_file
@@ -60,13 +60,14 @@ def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
     LayoutError
         A modality is asked for that there is not.
     """
-    available = ["rgb", "depth", *DERIVED, *(["label"] if reader.info.classes else [])]
+    given = {"rgb", "depth", *(["label"] if reader.info.classes else [])}
+    available = [name for name in MODALITIES if sources_of([name]) <= given]
     asked = options.modalities or tuple(
         name for name in available if not MODALITIES[name].on_request
     )
     for name in asked:
         if name not in available:
-            hint = "; it has no labels here" if name == "label" else ""
+            hint = "" if reader.info.classes else "; it has no labels here"
             raise LayoutError(
                 f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}"
             )

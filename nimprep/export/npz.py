@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.modality import MODALITIES
 from nimprep.splits import SPLIT_NAMES
 from nimprep.store.reader import Store
 
@@ -34,8 +35,8 @@ def frame_arrays(store: Store, number: int) -> dict[str, npt.NDArray[Any]]:
     frame, tables = store[number], store.tables
     found: dict[str, npt.NDArray[Any]] = {}
     for modality in store.modalities:
-        name = "depth_m" if modality == "depth" else modality
-        found[name] = getattr(frame, name)
+        if (image := frame.image(modality)) is not None:
+            found[MODALITIES[modality].attribute or modality] = image
     return found | {
         "K": tables.intrinsics[number],
         "baseline_m": tables.baseline[number : number + 1].reshape(()),

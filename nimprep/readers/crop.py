@@ -101,6 +101,7 @@ class CroppedReader:
             rgb=None if frame.rgb is None else np.ascontiguousarray(frame.rgb[window]),
             depth_m=None if frame.depth_m is None else np.ascontiguousarray(frame.depth_m[window]),
             label=None if frame.label is None else np.ascontiguousarray(frame.label[window]),
+            others={n: np.ascontiguousarray(i[window]) for n, i in frame.others.items()},
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -82,21 +83,66 @@ def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDAr
     return to_integers(MODALITIES["normal"].as_dtype(dtype), normal)
 
 
-EAGER = ("rgb", "depth", "label")
-"""Read with a frame; what is derived from them is read when asked for, as few need all of it."""
+class StoredImages(Mapping[str, npt.NDArray[Any]]):
+    """A frame's images by modality: read and checked, and decompressed when asked for.
+
+    What is derived is not even read before, as few need all of it.
+
+    Raises
+    ------
+    StoreError
+        A shard is missing, or a checksum does not fit.
+    """
+
+    def __init__(self, number: int, arrays: dict[str, ImageArray], shape: tuple[int, int]) -> None:
+        self._number = number
+        self._arrays = arrays
+        self._shape = shape
+        self._images: dict[str, npt.NDArray[Any]] = {}
+        given = (name for name, array in arrays.items() if array.modality.derived is None)
+        self._chunks = {name: arrays[name].fetch(number) for name in given}
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        if name not in self._images:
+            self._images[name] = self._decoded(name)
+        return self._images[name]
+
+    def _decoded(self, name: str) -> npt.NDArray[Any]:
+        array = self._arrays[name]
+        packed = self._chunks[name] if name in self._chunks else array.fetch(self._number)
+        height, width = self._shape
+        padded = empty(array.shape[1:], array.dtype)
+        array.decode(packed, padded, self._number)
+        if padded.shape[:2] != self._shape:
+            padded = np.ascontiguousarray(padded[:height, :width])
+        return from_integers(array.modality, padded)
+
+
+def _of_store(name: str) -> Any:
+    return cached_property(lambda frame: frame.others.get(name))
 
 
 class StoredFrame(Frame):
     """A frame of a store: its chunks are read and checked, and decompressed when asked for.
 
-    So a frame costs what is used of it: rgb, depth and label without the normals, say; normals and
-    HHA are not even read before. Asking for an image that the store lacks gives None, as with any
-    `Frame`.
+    So a frame costs what is used of it: rgb, depth and label without the normals, say. Asking for
+    an image that the store lacks gives None, as with any `Frame`; `others` has all of them.
     """
 
-    _arrays: dict[str, ImageArray]
-    _chunks: dict[str, npt.NDArray[np.uint8] | None]
-    _number: int
+    rgb = _of_store("rgb")
+    depth_m = _of_store("depth")
+    normal = _of_store("normal")
+    hha = _of_store("hha")
+    disparity = _of_store("disparity")
+    transformed_disparity = _of_store("transformed_disparity")
+    elevation = _of_store("elevation")
+    label = _of_store("label")
 
     @classmethod
     def fetch(
@@ -110,62 +156,10 @@ class StoredFrame(Frame):
             A shard is missing, or a checksum does not fit.
         """
         frame = cls.__new__(cls)
-        chunks = {name: arrays[name].fetch(number) for name in EAGER if name in arrays}
-        # What is a cached property below must not be set here, hence no call of __init__.
-        frame.__dict__.update(fields, camera=camera, _arrays=arrays, _chunks=chunks, _number=number)
+        images = StoredImages(number, arrays, camera.shape)
+        # What is a cached property must not be set here, hence no call of __init__.
+        frame.__dict__.update(fields, camera=camera, others=images)
         return frame
-
-    def _image(self, name: str) -> npt.NDArray[Any] | None:
-        if name not in self._arrays:
-            return None
-        array = self._arrays[name]
-        packed = self._chunks[name] if name in self._chunks else array.fetch(self._number)
-        height, width = self.camera.shape
-        padded = empty(array.shape[1:], array.dtype)
-        array.decode(packed, padded, self._number)
-        if padded.shape[:2] != (height, width):
-            padded = np.ascontiguousarray(padded[:height, :width])
-        return from_integers(array.modality, padded)
-
-    @cached_property
-    def rgb(self) -> npt.NDArray[np.uint8] | None:
-        """Colour, (H, W, 3) uint8."""
-        return self._image("rgb")
-
-    @cached_property
-    def depth_m(self) -> npt.NDArray[np.float32] | None:
-        """Depth, (H, W) float32 metres, 0 = none."""
-        return self._image("depth")
-
-    @cached_property
-    def normal(self) -> npt.NDArray[np.float32] | None:
-        """Normals, (H, W, 3) float32 unit vectors, (0, 0, 0) = none."""
-        return self._image("normal")
-
-    @cached_property
-    def hha(self) -> npt.NDArray[np.uint8] | None:
-        """HHA, (H, W, 3) uint8."""
-        return self._image("hha")
-
-    @cached_property
-    def disparity(self) -> npt.NDArray[np.float32] | None:
-        """Disparity, (H, W) float32 pixels, 0 = none."""
-        return self._image("disparity")
-
-    @cached_property
-    def transformed_disparity(self) -> npt.NDArray[np.float32] | None:
-        """Disparity less the road's, (H, W) float32 pixels, NaN = none."""
-        return self._image("transformed_disparity")
-
-    @cached_property
-    def elevation(self) -> npt.NDArray[np.float32] | None:
-        """Height over the road's plane, (H, W) float32 metres, NaN = none."""
-        return self._image("elevation")
-
-    @cached_property
-    def label(self) -> npt.NDArray[np.uint8] | None:
-        """Class ids, (H, W) uint8, 255 = ignore."""
-        return self._image("label")
 
 
 def check_size(size: tuple[int, int], padded: tuple[int, ...], where: str) -> None:
