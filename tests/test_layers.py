@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 from pathlib import Path
 
 import pytest
@@ -85,6 +86,39 @@ def test_kernels_import_nothing_of_the_package_but_kernels_and_their_decorator()
 
 def name_of_module(package: str, name: str) -> bool:
     return PACKAGE.parent.joinpath(*package.split("."), f"{name}.py").exists()
+
+
+def test_loops_are_compiled_in_one_room() -> None:
+    rooms = set()
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            else:
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if any(re.match(r"numba\b|nimprep\.compilation\.decorator$", name) for name in names):
+                rooms.add(part(path))
+    assert rooms == {"compilation", "kernels"}
+
+
+def test_what_a_kernel_writes_to_comes_last_in_its_call() -> None:
+    writing = 0
+    for path in sorted((PACKAGE / "kernels").glob("*.py")):
+        for function in ast.parse(path.read_text()).body:
+            if not isinstance(function, ast.FunctionDef) or function.name.startswith("_"):
+                continue
+            named = [argument.arg for argument in function.args.args]
+            places = [
+                node.value.id
+                for node in ast.walk(function)
+                if isinstance(node, ast.Subscript)
+                and isinstance(node.ctx, ast.Store)
+                and isinstance(node.value, ast.Name)
+            ]
+            written = [name for name in named if name in places]
+            assert written == named[len(named) - len(written) :], f"{path}: {function.name}"
+            writing += bool(written)
+    assert writing > 20
 
 
 def test_every_public_name_is_there_and_documented() -> None:
