@@ -1,0 +1,104 @@
+"""What every network here is: any size in, the same size out, logits alone where nothing trains."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+from torch import Tensor, nn
+from torch.nn import functional
+
+from nimprep.errors import ArrayError
+
+SMALLEST = 64
+"""Height and width, pixels, that every network takes at least."""
+
+
+class Logits(NamedTuple):
+    """Hold what a network without auxiliary outputs gives: (B, C, H, W)."""
+
+    logits: Tensor
+
+
+class Network(nn.Module):
+    """Map images to logits per class and pixel.
+
+    A subclass says its numbers and computes in `_outputs`, whose tensors are of its inputs' size;
+    those are padded with zeros, at the bottom and right, to a multiple of `divisor`, and what
+    comes out is cropped.
+
+    Attributes
+    ----------
+    inputs : int or (int, int)
+        Channels of the image, or of both images.
+    classes : int
+    divisor : int
+        What height and width are padded to a multiple of; 1 = any size as it is.
+    auxiliary : bool
+        Whether `forward` gives more than logits in training.
+    """
+
+    divisor: ClassVar[int] = 1
+    auxiliary: ClassVar[bool] = False
+
+    def __init__(self, inputs: int | tuple[int, int], classes: int) -> None:
+        super().__init__()
+        self.inputs = inputs
+        self.classes = classes
+
+    def _outputs(self, *images: Tensor, auxiliary: bool) -> Any:
+        """Return a named tuple, logits first; others are None where `auxiliary` is False."""
+        raise AssertionError(f"{type(self).__name__} has no _outputs")
+
+    def outputs(self, *images: Tensor) -> Any:
+        """Return every output as a named tuple, the logits first, in training and evaluation."""
+        return self._sized(images, auxiliary=True)
+
+    def forward(self, *images: Tensor) -> Any:
+        """Return logits, (B, C, H, W) of the input's size.
+
+        In training a network with auxiliary outputs returns a named tuple, the logits first.
+
+        Parameters
+        ----------
+        *images : (B, N, H, W) floating
+            One, or two where the network fuses; N as `inputs` says, H and W 64 or more.
+
+        Raises
+        ------
+        ArrayError
+            The number of images, their channels or sizes are others.
+        """
+        if self.auxiliary and self.training:
+            return self._sized(images, auxiliary=True)
+        return self._sized(images, auxiliary=False).logits
+
+    def _sized(self, images: tuple[Tensor, ...], *, auxiliary: bool) -> Any:
+        self._check(images)
+        height, width = images[0].shape[2:]
+        down, right = -height % self.divisor, -width % self.divisor
+        if not (down or right):
+            return self._outputs(*images, auxiliary=auxiliary)
+        padded = [functional.pad(image, (0, right, 0, down)) for image in images]
+        found = self._outputs(*padded, auxiliary=auxiliary)
+        return type(found)(
+            *(None if value is None else value[..., :height, :width] for value in found)
+        )
+
+    def _channels(self, count: int) -> tuple[int, ...]:
+        """Return the channels of each image that `_outputs` takes, where it gets so many."""
+        return (self.inputs,) if isinstance(self.inputs, int) else self.inputs
+
+    def _check(self, images: tuple[Tensor, ...]) -> None:
+        channels = self._channels(len(images))
+        expected = " and ".join(f"(B, {n}, H, W)" for n in channels)
+        found = " and ".join(str(tuple(image.shape)) for image in images)
+        sizes = {(len(image), *image.shape[2:]) for image in images}
+        fits = len(images) == len(channels) and all(
+            image.ndim == 4 and image.shape[1] == n
+            for image, n in zip(images, channels, strict=True)
+        )
+        if not fits or len(sizes) != 1 or min(images[0].shape[2:]) < SMALLEST:
+            raise ArrayError(
+                f"{type(self).__name__}: expected images of {expected}, H and W alike and "
+                f"{SMALLEST} or more, found {found}"
+            )
