@@ -23,7 +23,7 @@ LAYERS = [
     ["store"],
     ["conversion"],
     ["report"],
-    ["synthetic", "torch", "evaluation", "export"],
+    ["synthetic", "torch", "networks", "evaluation", "export"],
     ["cli"],
     ["__main__"],
 ]

@@ -83,7 +83,9 @@ class DepthAwareCNN(Network):
             None if inputs[1] == 1 else _Tower(inputs[1], classes, width, alpha, authors_pool)
         )
 
-    def forward(self, x: Tensor, y: Tensor, depth: Tensor | None = None) -> Tensor:
+    def forward(  # type: ignore[override]
+        self, x: Tensor, y: Tensor, depth: Tensor | None = None
+    ) -> Tensor:
         """Return logits, (B, C, H, W).
 
         Parameters

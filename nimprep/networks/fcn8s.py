@@ -6,6 +6,8 @@ Source: Long, Shelhamer & Darrell, "Fully convolutional networks for semantic se
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -17,6 +19,8 @@ from nimprep.networks.vgg import VGG16
 
 class FCN8s(Network):
     """Sum scores of fc7, pool4 and pool3, each upsampled by a learned kernel."""
+
+    classifier: ClassVar = {"fc6": "classifier.0", "fc7": "classifier.3"}
 
     def __init__(self, inputs: int, classes: int, width: float = 1.0) -> None:
         super().__init__(inputs, classes)

@@ -5,6 +5,7 @@ Source: Takikawa et al., "Gated-SCNN: Gated shape CNNs for semantic segmentation
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -57,7 +58,7 @@ class _ShapeStream(nn.Module):
     def __init__(self, first: int, gating: list[int], width: float) -> None:
         super().__init__()
         channels = [first, *(scaled(c, width) for c in (32, 16, 8))]
-        pairs = list(zip(channels[:-1], channels[1:], strict=True))
+        pairs = list(pairwise(channels))
         self.gating = nn.ModuleList(conv(c, 1, 1, bias=True) for c in gating)
         self.blocks = nn.ModuleList(BasicBlock(a, a) for a, _ in pairs)
         self.reduced = nn.ModuleList(conv(a, b, 1, bias=True) for a, b in pairs)
@@ -105,7 +106,9 @@ class GSCNN(Network):
             conv(middle, classes, 1),
         )
 
-    def forward(self, x: Tensor, canny: Tensor | None = None) -> Tensor | GSCNNOutputs:
+    def forward(  # type: ignore[override]
+        self, x: Tensor, canny: Tensor | None = None
+    ) -> Tensor | GSCNNOutputs:
         """Return logits; in training logits and edges.
 
         Parameters
@@ -123,7 +126,9 @@ class GSCNN(Network):
         found: Tensor | GSCNNOutputs = super().forward(x, self._canny(x, canny))
         return found
 
-    def outputs(self, x: Tensor, canny: Tensor | None = None) -> GSCNNOutputs:
+    def outputs(  # type: ignore[override]
+        self, x: Tensor, canny: Tensor | None = None
+    ) -> GSCNNOutputs:
         """Return logits and edges in any mode; parameters as for `forward`."""
         found: GSCNNOutputs = super().outputs(x, self._canny(x, canny))
         return found

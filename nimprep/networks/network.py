@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from torch import Tensor, nn
 from torch.nn import functional
 
 from nimprep.errors import ArrayError
+
+if TYPE_CHECKING:
+    from nimprep.networks.weights import Loaded
 
 SMALLEST = 64
 """Height and width, pixels, that every network takes at least."""
@@ -19,7 +23,7 @@ class Logits(NamedTuple):
     logits: Tensor
 
 
-class Network(nn.Module):
+class Network(nn.Module, ABC):
     """Map images to logits per class and pixel.
 
     A subclass says its numbers and computes in `_outputs`, whose tensors are of its inputs' size;
@@ -35,19 +39,25 @@ class Network(nn.Module):
         What height and width are padded to a multiple of; 1 = any size as it is.
     auxiliary : bool
         Whether `forward` gives more than logits in training.
+    classifier : dict of str to str
+        Convolutions that torchvision has as layers of its classifier, by their names there.
+    loaded : Loaded, optional
+        What came of the file of weights it was built with.
     """
 
     divisor: ClassVar[int] = 1
     auxiliary: ClassVar[bool] = False
+    classifier: ClassVar[dict[str, str]] = {}
+    loaded: Loaded | None = None
 
     def __init__(self, inputs: int | tuple[int, int], classes: int) -> None:
         super().__init__()
         self.inputs = inputs
         self.classes = classes
 
+    @abstractmethod
     def _outputs(self, *images: Tensor, auxiliary: bool) -> Any:
         """Return a named tuple, logits first; others are None where `auxiliary` is False."""
-        raise AssertionError(f"{type(self).__name__} has no _outputs")
 
     def outputs(self, *images: Tensor) -> Any:
         """Return every output as a named tuple, the logits first, in training and evaluation."""

@@ -24,9 +24,7 @@ class UNet(Network):
         super().__init__(inputs, classes)
         channels = [scaled(c, width) for c in CHANNELS]
         before = [inputs, *channels]
-        self.down = nn.ModuleList(
-            _double(a, b) for a, b in zip(before[:-1], channels, strict=True)
-        )
+        self.down = nn.ModuleList(_double(a, b) for a, b in zip(before[:-1], channels, strict=True))
         self.up = nn.ModuleList()
         self.joined = nn.ModuleList()
         for below, skip in zip(reversed(channels[1:]), reversed(channels[:-1]), strict=True):

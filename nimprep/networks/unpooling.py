@@ -45,7 +45,9 @@ class UnpoolingDecoder(nn.Module):
                 conv_bn_relu(into, into, bias=True) for _ in range(count - 1)
             ]
             # The very last convolution gives the logits: nothing after it.
-            layers.append(conv_bn_relu(into, after, bias=True) if number else conv(into, after, bias=True))
+            layers.append(
+                conv_bn_relu(into, after, bias=True) if number else conv(into, after, bias=True)
+            )
             layers += [nn.Dropout(0.5)] if number + 1 in drops else []
             modules.append(nn.Sequential(*layers))
         self.stages = nn.ModuleList(modules)
@@ -59,5 +61,5 @@ class UnpoolingDecoder(nn.Module):
             Of the encoder's pools, the first at full size.
         """
         for stage, (indices, size) in zip(self.stages, reversed(pools), strict=True):
-            x = stage(functional.max_unpool2d(x, indices, 2, output_size=size))
+            x = stage(functional.max_unpool2d(x, indices, [2, 2], output_size=size))
         return x

@@ -1,0 +1,24 @@
+"""The networks that Wang et al. (IROS 2020) train with and without surface normals.
+
+    from nimprep.networks import build_network
+    network = build_network("rtfnet18", inputs=(3, 3), classes=3)
+    logits = network(rgb, normals)  # (B, 3, H, W)
+
+Eight take one image, of as many channels as the setup has; four fuse two. All are written from
+their papers, with the channels and layers of the public implementations.
+"""
+
+from nimprep.networks.build import NETWORKS, build_network
+from nimprep.networks.network import Logits, Network
+from nimprep.networks.weights import Loaded, count_parameters, load_weights, save_weights
+
+__all__ = [
+    "NETWORKS",
+    "Loaded",
+    "Logits",
+    "Network",
+    "build_network",
+    "count_parameters",
+    "load_weights",
+    "save_weights",
+]

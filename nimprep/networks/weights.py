@@ -1,0 +1,155 @@
+"""Weights from files: torchvision's for encoders, a network's own for the whole of it."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from nimprep.errors import ArrayError
+from nimprep.networks.densenet import DenseNet121
+from nimprep.networks.network import Network
+from nimprep.networks.resnet import ResNet
+from nimprep.networks.vgg import VGG16
+
+FIRST = ("features.0.weight", "conv1.weight", "features.conv0.weight")
+"""The first convolution of VGG, ResNet and DenseNet, which sees the image."""
+
+_MARK = "nimprep_network"
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """List what came of a file of weights.
+
+    Attributes
+    ----------
+    loaded : tuple of str
+        The network's tensors that are the file's.
+    adapted : tuple of str
+        Those among them whose input channels are others than the file's: each is the mean over the
+        file's channels.
+    initial : tuple of str
+        The network's tensors that are as they were.
+    unused : tuple of str
+        The file's tensors that have no place in the network.
+    """
+
+    loaded: tuple[str, ...]
+    adapted: tuple[str, ...]
+    initial: tuple[str, ...]
+    unused: tuple[str, ...]
+
+    def __str__(self) -> str:
+        adapted = f" ({len(self.adapted)} adapted to other channels)" if self.adapted else ""
+        return (
+            f"loaded {len(self.loaded)} tensors{adapted}, {len(self.initial)} of the network are "
+            f"initial, {len(self.unused)} of the file unused"
+        )
+
+
+def save_weights(network: Network, path: Path | str) -> None:
+    """Write all of a network's weights, for `load_weights` to restore the whole."""
+    torch.save({_MARK: type(network).__name__, "state": network.state_dict()}, path)
+
+
+def load_weights(network: Network, path: Path) -> Loaded:
+    """Load weights into a network, as far as they fit.
+
+    Parameters
+    ----------
+    path : path
+        What `save_weights` wrote, or a file with torchvision's names.
+
+    Raises
+    ------
+    ArrayError
+        The file cannot be read, is another network's, or has nothing for this one.
+    """
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise ArrayError(f"{path}: expected a file of weights, found {reason}") from error
+    if not isinstance(found, dict):
+        raise ArrayError(f"{path}: expected tensors by name, found {type(found).__name__}")
+    if _MARK in found:
+        return _whole(network, found, path)
+    state = found.get("state_dict", found)
+    tensors = {str(k): v for k, v in state.items() if isinstance(v, Tensor)}
+    return _encoders(network, tensors, path)
+
+
+def _whole(network: Network, found: Mapping[str, Any], path: Path) -> Loaded:
+    own = network.state_dict()
+    state = found.get("state", {})
+    shapes = {name: tuple(tensor.shape) for name, tensor in state.items()}
+    if shapes != {name: tuple(tensor.shape) for name, tensor in own.items()}:
+        raise ArrayError(
+            f"{path}: expected weights of this {type(network).__name__}, found those of a "
+            f"{found[_MARK]} of other sizes; build it with the same inputs, classes and width"
+        )
+    network.load_state_dict(state)
+    return Loaded(tuple(own), (), (), ())
+
+
+def _encoders(network: Network, tensors: Mapping[str, Tensor], path: Path) -> Loaded:
+    own = network.state_dict(keep_vars=True)
+    loaded, adapted, used = [], [], set()
+    for place, name in _places(network, own):
+        if name not in tensors:
+            continue
+        target, source = own[place], tensors[name]
+        fitted, other = _fitted(source, target, name)
+        if fitted is None:
+            raise ArrayError(
+                f"{path}: expected {name} of shape {tuple(target.shape)}, found "
+                f"{tuple(source.shape)}; weights fit width 1 and the network's own encoder"
+            )
+        with torch.no_grad():
+            target.copy_(fitted)
+        loaded.append(place)
+        used.add(name)
+        adapted += [place] if other else []
+    if not loaded:
+        raise ArrayError(
+            f"{path}: expected weights of {type(network).__name__}'s encoder by torchvision's "
+            f"names, found none among {len(tensors)} tensors"
+        )
+    initial = tuple(name for name in own if name not in set(loaded))
+    unused = tuple(name for name in tensors if name not in used)
+    return Loaded(tuple(loaded), tuple(adapted), initial, unused)
+
+
+def _places(network: Network, own: Mapping[str, Tensor]) -> Iterator[tuple[str, str]]:
+    """Yield the network's tensors that a file may hold, and their names there."""
+    for prefix, module in network.named_modules():
+        if isinstance(module, (VGG16, ResNet, DenseNet121)):
+            for name in module.state_dict():
+                yield f"{prefix}.{name}", name
+    for ours, theirs in network.classifier.items():
+        for kind in ("weight", "bias"):
+            yield f"{ours}.{kind}", f"{theirs}.{kind}"
+
+
+def _fitted(source: Tensor, target: Tensor, name: str) -> tuple[Tensor | None, bool]:
+    """Return a file's tensor as the network takes it, and whether it is of other channels."""
+    if source.shape == target.shape:
+        return source, False
+    rest = (source.shape[:1] + source.shape[2:], target.shape[:1] + target.shape[2:])
+    if name in FIRST and rest[0] == rest[1]:
+        return source.mean(dim=1, keepdim=True).expand_as(target), True
+    # A classifier's fully connected layer is a convolution over all that it saw.
+    if name.startswith("classifier") and source.numel() == target.numel():
+        return source.reshape(target.shape), False
+    return None, False
+
+
+def count_parameters(network: nn.Module) -> int:
+    """Return how many numbers a network has that could be trained."""
+    return sum(parameter.numel() for parameter in network.parameters())
