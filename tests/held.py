@@ -13,7 +13,7 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -68,9 +68,12 @@ def _await(arrived: int, process: subprocess.Popen[str]) -> None:
         raise AssertionError(f"expected the command to stand still, found it ended: {said}")
 
 
-def _standing_still(
-    function: Callable[..., Any], let_pass: int, arrive: int, gate: int
-) -> Callable[..., Any]:
+def stand_still(point: str, let_pass: int, arrive: int, gate: int) -> None:
+    """Let this process say so and stand still after a call, until the gate's other end closes."""
+    module, _, name = point.partition(":")
+    *path, last = name.split(".")
+    owner: Any = functools.reduce(getattr, path, importlib.import_module(module))
+    function = getattr(owner, last)
     calls = itertools.count()
 
     @functools.wraps(function)
@@ -78,19 +81,15 @@ def _standing_still(
         result = function(*arguments, **named)
         if next(calls) == let_pass:
             os.write(arrive, b".")
-            os.read(gate, 1)  # nothing comes: it ends when the test closes it
+            os.read(gate, 1)  # nothing ever comes
         return result
 
-    return run
+    setattr(owner, last, run)
 
 
 def _main() -> None:
     point, let_pass, arrive, gate, *command = sys.argv[1:]
-    module, _, name = point.partition(":")
-    *path, last = name.split(".")
-    owner: Any = functools.reduce(getattr, path, importlib.import_module(module))
-    stopping = _standing_still(getattr(owner, last), int(let_pass), int(arrive), int(gate))
-    setattr(owner, last, stopping)
+    stand_still(point, int(let_pass), int(arrive), int(gate))
     from nimprep.cli import main
 
     main(command, prog_name="nimprep")

@@ -4,10 +4,6 @@ import os
 import random
 import shutil
 import signal
-import subprocess
-import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +15,8 @@ from nimprep.store.validate import validate_store
 from tests.conversion.mortal import Mortals
 from tests.conversion.test_append import damage, write_frames
 from tests.fakes import contents, write_gmrp
+from tests.held import RECORD, held
+from tests.processes import PATIENCE_S, Processes
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
@@ -28,14 +26,6 @@ pytestmark = [
 KILLS = int(os.environ.get("NIMPREP_KILLS", "6"))
 
 SMALL = {"shard_length": 4, "modalities": ("depth",)}
-
-
-@pytest.fixture(scope="module")
-def mortals() -> Iterator[Mortals]:
-    """Return what starts processes that can be killed."""
-    server = Mortals()
-    yield server
-    server.close()
 
 
 @pytest.fixture
@@ -167,32 +157,29 @@ def larger(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[s
     return source, folder / "old.zarr", contents(folder / "whole.zarr")
 
 
-def test_killed_at_random_moments_the_store_is_whole_and_ends_with_the_same_bytes(
+def test_killed_at_random_calls_the_store_is_whole_and_ends_with_the_same_bytes(
     larger: tuple[Path, Path, dict[str, bytes]], mortals: Mortals, tmp_path: Path
 ) -> None:
     source, old, whole = larger
     before, rng, target = contents(old), random.Random(0), tmp_path / "s.zarr"
     shutil.copytree(old, target)
-    began = time.monotonic()
     assert mortals.run("append", source, target) == 0
-    lasts = time.monotonic() - began
+    calls = mortals.calls
+    assert calls is not None
     killed = halfway = runs = 0
     while killed < KILLS:
         if contents(target) == whole:
             shutil.rmtree(target)
             shutil.copytree(old, target)
-        child = mortals.start("append", source, target)
-        runs += 1
         # From the start to after the end: encoding, joining, finishing, changing names.
-        time.sleep(rng.uniform(0, lasts))
-        os.kill(child, signal.SIGKILL)
-        status = mortals.wait()
+        call = rng.randrange(calls)
+        status = mortals.run("append", source, target, call=call)
         assert status in (0, -signal.SIGKILL)
+        runs += 1
+        assert runs <= 3 * KILLS, "expected most runs to be killed"
         killed += status != 0
-        # Other work on the machine comes and goes; most moments are to be within the run.
-        lasts *= 1.1 if status else 0.8
         now = contents(target)
-        assert now in (before, whole)
+        assert now in (before, whole), f"killed at call {call} of {calls}"
         halfway += status != 0 and now == before
         if now == whole:
             assert mortals.run("append", source, target) == 0
@@ -200,6 +187,7 @@ def test_killed_at_random_moments_the_store_is_whole_and_ends_with_the_same_byte
             assert {p.name for p in tmp_path.iterdir()} == {"s.zarr"}
     assert mortals.run("append", source, target) == 0
     assert contents(target) == whole
+    assert halfway > KILLS // 2
     print(f"killed {killed} times, {halfway} of them halfway, in {runs} runs; all bytes the same")
 
 
@@ -224,7 +212,7 @@ def test_killed_at_each_step_of_changing_names_no_store_is_lost(
     for step in range(20):
         shutil.rmtree(store)
         shutil.copytree(tmp_path / "old.zarr", store)
-        status = mortals.run("append", source, store, step, atomic)
+        status = mortals.run("append", source, store, step=step, atomic=atomic)
         if status == 0:
             break
         assert status == -signal.SIGKILL
@@ -249,28 +237,48 @@ def test_killed_while_it_replaces_a_store_a_conversion_loses_neither(
     options = {**SMALL, "seed": 1}
     nimprep.convert(source, store, overwrite=True, **options)
     after = contents(store)
-    # After the note: before the names, between or after them, and before what was replaced goes.
-    for step in range(1, 5):
+    found = []
+    for step in range(20):
         shutil.rmtree(store)
         shutil.copytree(tmp_path / "old.zarr", store)
-        assert mortals.run("convert", source, store, step, atomic) == -signal.SIGKILL
+        fault = {"step": step, "atomic": atomic}
+        status = mortals.run("convert", source, store, overwrite=True, **fault, **options)
+        if status == 0:
+            break
+        assert status == -signal.SIGKILL
+        found.append("new" if store.exists() else "none")
         if not store.exists():
             # Nobody may take the place for free: what was there comes back first.
             with pytest.raises(StoreError, match="--overwrite"):
                 nimprep.convert(source, store, **options)
             assert contents(store) == before
+        elif contents(store) == before:
+            found[-1] = "old"
         assert contents(store) in (before, after)
         nimprep.convert(source, store, overwrite=True, **options)
         assert contents(store) == after
+    assert list(dict.fromkeys(found)) == (["old", "new"] if atomic else ["old", "none", "new"])
+    assert contents(store) == after
+
+
+def killed_when_it_is_there(mortals: Mortals, source: Path, store: Path) -> dict[str, bytes]:
+    """Append, and kill it at the first step after the new store has its name; return its files."""
+    before, old = contents(store), store.with_name("old.zarr")
+    for step in range(20):
+        assert mortals.run("append", source, store, step=step) == -signal.SIGKILL
+        if (now := contents(store)) != before:
+            return now
+        shutil.rmtree(store)
+        shutil.rmtree(store.with_name(f".{store.name}.partial"))
+        shutil.copytree(old, store)
+    raise AssertionError("expected a change of names within so many steps")
 
 
 def test_what_a_kill_at_the_last_step_left_is_done_and_said_so(
     tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path
 ) -> None:
     source, store = tiny
-    # After the note, the change of names, and the folder they are in.
-    assert mortals.run("append", source, store, 3) == -signal.SIGKILL
-    after = contents(store)
+    after = killed_when_it_is_there(mortals, source, store)
     assert (tmp_path / ".s.zarr.partial" / "append").is_dir()
     done = nimprep.append_frames(source, store)
     assert (len(done.ids), done.existing, len(done.store)) == (2, 0, 5)
@@ -284,8 +292,7 @@ def test_a_kill_at_the_last_step_excuses_no_other_source(
     tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path
 ) -> None:
     source, store = tiny
-    assert mortals.run("append", source, store, 3) == -signal.SIGKILL
-    after = contents(store)
+    after = killed_when_it_is_there(mortals, source, store)
     assert len(nimprep.open_store(store)) == 5
     with pytest.raises(StoreError, match="found '000000'"):
         nimprep.append_frames(tmp_path / "a", store)
@@ -297,8 +304,7 @@ def test_a_kill_at_the_last_step_excuses_no_source_that_changed(
     tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path
 ) -> None:
     source, store = tiny
-    assert mortals.run("append", source, store, 3) == -signal.SIGKILL
-    after = contents(store)
+    after = killed_when_it_is_there(mortals, source, store)
     shutil.copy(source / "rgb" / "000003.png", source / "rgb" / "000004.png")
     with pytest.raises(StoreError, match="found '000003'"):
         nimprep.append_frames(source, store)
@@ -312,11 +318,7 @@ def test_of_an_append_and_a_conversion_at_once_the_second_is_refused(
 ) -> None:
     source, old, whole = larger
     shutil.copytree(old, tmp_path / "s.zarr")
-    mortals.start("append", source, tmp_path / "s.zarr")
-    units = tmp_path / ".s.zarr.partial" / "append" / "journal" / "units"
-    deadline = time.monotonic() + 60
-    while not units.exists() and time.monotonic() < deadline:
-        time.sleep(0.001)
+    mortals.start("append", source, tmp_path / "s.zarr", hold=True)
     with pytest.raises(StoreError, match="found one at work"):
         nimprep.append_frames(source, tmp_path / "s.zarr")
     with pytest.raises(StoreError, match="found one at work"):
@@ -326,23 +328,14 @@ def test_of_an_append_and_a_conversion_at_once_the_second_is_refused(
 
 
 def test_ctrl_c_says_how_to_go_on_and_exits_130(
-    larger: tuple[Path, Path, dict[str, bytes]], tmp_path: Path
+    larger: tuple[Path, Path, dict[str, bytes]], tmp_path: Path, processes: Processes
 ) -> None:
     source, old, _ = larger
     shutil.copytree(old, tmp_path / "s.zarr")
-    command = [sys.executable, "-m", "nimprep", "append", "--workers", "1", "--on-error", "skip"]
-    # Uncompiled kernels are slow enough that the signal comes well before the end.
-    process = subprocess.Popen(
-        [*command, str(source), str(tmp_path / "s.zarr")],
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-    )
-    units = tmp_path / ".s.zarr.partial" / "append" / "journal" / "units"
-    while not list(units.glob("*.json")) and process.poll() is None:
-        time.sleep(0.001)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    options = ("--workers", "1", "--on-error", "skip")
+    with held(processes, RECORD, "append", *options, source, tmp_path / "s.zarr") as process:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130, errors
     assert "interrupted; " in errors
     assert "of 22 frames are kept: the same command goes on from them" in errors

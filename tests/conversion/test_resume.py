@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import nimprep
 from nimprep.errors import DecodeError, StoreError
 from nimprep.store.metadata import read_attributes
 from nimprep.store.validate import validate_store
+from tests.conversion.mortal import Mortals
 from tests.fakes import contents, write_gmrp, write_png
 from tests.held import RECORD, held
 from tests.processes import PATIENCE_S, Processes
@@ -231,50 +231,34 @@ def test_mended_frames_are_taken_in_when_it_goes_on(
     assert contents(target) == contents(tmp_path / "whole.zarr")
 
 
-@pytest.fixture(scope="module")
-def larger(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
-    """Return a source of 60 frames, one of them bad, and the files of its store."""
-    folder = tmp_path_factory.mktemp("larger")
-    source = write_gmrp(folder / "gmrp", frames=60, size=(120, 160))
-    damage(source / "label" / "000031.png")
-    nimprep.convert(source, folder / "whole.zarr", shard_length=2, on_error="skip")
-    return source, contents(folder / "whole.zarr")
-
-
-def test_killed_at_random_moments_it_ends_with_the_same_bytes(
-    larger: tuple[Path, dict[str, bytes]], tmp_path: Path
+@pytest.mark.usefixtures("unsynced")
+def test_killed_at_random_calls_it_ends_with_the_same_bytes(
+    mortals: Mortals, tmp_path: Path
 ) -> None:
-    source, whole = larger
-    target, rng = tmp_path / "s.zarr", random.Random(0)
-    partial = tmp_path / ".s.zarr.partial"
-    command = [*COMMAND, "--shard-length", "2", "--on-error", "skip", "--allow-skipped", "1"]
+    source, target, rng = tmp_path / "gmrp", tmp_path / "s.zarr", random.Random(0)
+    damage(write_gmrp(source, frames=31) / "label" / "000015.png")
+    options = {"shard_length": 2, "on_error": "skip"}
+    assert mortals.run("convert", source, target, **options) == 0
+    calls, whole = mortals.calls, contents(target)
+    assert calls is not None
+    shutil.rmtree(target)
     killed = halfway = runs = 0
     while killed < KILLS:
-        process = subprocess.Popen(
-            [*command, str(source), str(target)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        # From the start to after the end: reading, encoding, packing, finishing, renaming.
+        call = rng.randrange(calls)
+        status = mortals.run("convert", source, target, call=call, **options)
+        assert status in (0, -signal.SIGKILL)
         runs += 1
-        before = len(list(partial.glob("journal/units/*.json")))
-        while len(list(partial.glob("journal/units/*.json"))) <= before and process.poll() is None:
-            time.sleep(0.001)
-        try:
-            # From the first shard to after the end: converting, packing, finishing, renaming.
-            process.wait(timeout=rng.uniform(0, 0.8))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            killed += 1
-            halfway += not target.exists()
-        else:
-            assert process.returncode == 0
-            assert not partial.exists()
+        assert runs <= 3 * KILLS, "expected most runs to be killed"
+        killed += status != 0
+        halfway += status != 0 and not target.exists()
         if target.exists():
-            assert contents(target) == whole
+            assert contents(target) == whole, f"killed at call {call} of {calls}"
             shutil.rmtree(target)
-    nimprep.convert(source, target, shard_length=2, on_error="skip")
+    nimprep.convert(source, target, **options)
     assert contents(target) == whole
+    assert {path.name for path in tmp_path.iterdir()} == {"gmrp", "s.zarr"}
+    assert halfway > KILLS // 2
     print(f"killed {killed} times, {halfway} of them halfway, in {runs} runs; all bytes the same")
 
 
