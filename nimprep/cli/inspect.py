@@ -28,7 +28,7 @@ def info(store: str, as_json: bool) -> None:
 @json_option
 @quiet_option
 def validate(store: str, deep: bool, as_json: bool, quiet: bool) -> None:
-    """Check STORE against format 1.0; exit 1 where something is wrong."""
+    """Check STORE against the format; exit 1 where something is wrong."""
     from nimprep.store.validate import validate_store
 
     report = validate_store(store, deep=deep, progress=progress_bars(quiet))

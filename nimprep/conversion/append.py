@@ -43,7 +43,8 @@ from nimprep.readers.subset import SubsetReader
 from nimprep.splits import SPLITS, extend_splits
 from nimprep.store.metadata import read_attributes
 from nimprep.store.reader import Store, open_store
-from nimprep.store.spec import TABLES
+from nimprep.store.seal import MEND
+from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
 from nimprep.store.writer import StoreLayout, StoreWriter
 
 
@@ -217,13 +218,13 @@ class _Append:
         layout = replace(run.job.layout, frames=frames, classes=self._store.classes)
         self._workspace.joined.remove("")
         units = UnitChunks(self._workspace.store, layout, records)
-        self._join(layout, units, start("joining", frames))
+        checksums = self._join(layout, units, start("joining", frames))
         counts = journal.depth_counts()
         if "depth" in self._store.modalities:
             before = start("reading the depth there was", len(self._store))
             counts += depth_counts(self._store, self._workers, before)
         writer = StoreWriter(self._workspace.joined, layout)
-        writer.finish(self._tables(), self._attributes(depth_percentiles(counts)))
+        writer.finish(self._tables(checksums), self._attributes(depth_percentiles(counts)))
         self._workspace.publish(self._workspace.joined)
         return self._appended(open_store(path))
 
@@ -238,24 +239,41 @@ class _Append:
         check_frames(self._store, self.reader, new)
         self._splits(new, {i: self.reader.group(i) for i in new})
 
-    def _join(self, layout: StoreLayout, units: UnitChunks, done: Callable[[], None]) -> None:
+    def _join(
+        self, layout: StoreLayout, units: UnitChunks, done: Callable[[], None]
+    ) -> npt.NDArray[np.uint32]:
+        """Put old and new chunks together and return what they end with, per frame and modality."""
         old, writer = StoreChunks(self._store, layout), StoreWriter(self._workspace.joined, layout)
-        count, folder = len(self._store), Path(self._store.path)
+        count = len(self._store)
 
         def chunks(modality: str, frames: range) -> list[bytes]:
-            new = range(max(0, frames.start - count), frames.stop - count)
+            new = range(max(0, frames.start - count), max(0, frames.stop - count))
             kept = [old.chunk(modality, i) for i in range(frames.start, min(frames.stop, count))]
             return kept + units.chunks(modality, new)
 
         def whole(modality: str, frames: range) -> Path | None:
             if frames.stop <= count:
-                number = frames.start // layout.shard_length
-                return folder / writer.shard_key(modality, number)
+                return old.whole(modality, frames.start // layout.shard_length)
             if frames.start < count:
                 return None
             return units.whole(modality, range(frames.start - count, frames.stop - count))
 
-        join_shards(writer, chunks, done, whole)
+        found = join_shards(writer, chunks, done, whole)
+        self._check_chunks(layout.modalities, found)
+        return found
+
+    def _check_chunks(self, modalities: Sequence[str], found: npt.NDArray[np.uint32]) -> None:
+        """Raise where a chunk is not the one that the store, or the new frame's record, names."""
+        old = self._store.tables.chunk_crc32c
+        new = [[facts.chunk_crc32c[m] for m in modalities] for facts in self._facts]
+        count = len(self._store)
+        known = np.concatenate([found[:count] if old is None else old, np.array(new, np.uint32)])
+        for frame, column in np.argwhere(found != known):
+            ids = [*self._store.ids, *(facts.id for facts in self._facts)]
+            raise StoreError(
+                f"{self._store.path}/{modalities[column]}: frame {ids[frame]!r}: expected the "
+                f"image that was stored, found another version's; {MEND}"
+            )
 
     def _fixed(self, new: Sequence[str]) -> dict[str, list[str]]:
         """Return the frames whose split the dataset's authors chose, old and new."""
@@ -272,14 +290,15 @@ class _Append:
         splits = extend_splits(everyone, store.splits, split["rule"], split.get("seed", 0), fixed)
         return [splits[i] for i in new]
 
-    def _tables(self) -> dict[str, npt.NDArray[Any]]:
+    def _tables(self, checksums: npt.NDArray[np.uint32]) -> dict[str, npt.NDArray[Any]]:
         groups = {facts.id: facts.group for facts in self._facts}
-        new = tables(self._facts, self._splits(list(groups), groups))
+        new = tables(self._facts, self._splits(list(groups), groups), self._store.modalities)
         old = {name: getattr(self._store.tables, name) for name in TABLES}
-        return {
+        joined = {
             name: np.concatenate([np.asarray(old[name], dtype=new[name].dtype), new[name]])
             for name in TABLES
         }
+        return {**joined, CHUNK_CHECKSUMS: checksums}
 
     def _attributes(self, percentiles: Mapping[str, float] | None) -> dict[str, Any]:
         """Return the new store's `nimprep` object."""

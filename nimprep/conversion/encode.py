@@ -21,6 +21,7 @@ from nimprep.store.frames import (
     depth_to_millimetres,
     to_integers,
 )
+from nimprep.store.seal import chunk_checksum
 from nimprep.store.shards import encode_chunk
 from nimprep.store.statistics import channel_sums
 from nimprep.store.writer import StoreLayout
@@ -99,11 +100,15 @@ def encode_frame(
     if "depth" in stored:
         count_values(stored["depth"], counts)
     sums = channel_sums({n: i for n, i in stored.items() if n in layout.modalities})
-    return EncodedFrame(_facts(frame, gravity, sums, digest), chunks, counts)
+    return EncodedFrame(_facts(frame, gravity, sums, chunks, digest), chunks, counts)
 
 
 def _facts(
-    frame: Frame, gravity: npt.NDArray[np.float64], sums: npt.NDArray[np.int64], digest: str
+    frame: Frame,
+    gravity: npt.NDArray[np.float64],
+    sums: npt.NDArray[np.int64],
+    chunks: dict[str, bytes],
+    digest: str,
 ) -> FrameFacts:
     transform = np.full((3, 4), np.nan) if frame.cam_to_road is None else frame.cam_to_road
     return FrameFacts(
@@ -115,6 +120,7 @@ def _facts(
         cam_to_road=np.asarray(transform, dtype=np.float64).tolist(),
         gravity=gravity.tolist(),
         channel_sums=sums.tolist(),
+        chunk_crc32c={name: chunk_checksum(chunk) for name, chunk in chunks.items()},
         digest=digest,
     )
 

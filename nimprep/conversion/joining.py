@@ -15,7 +15,8 @@ import numpy.typing as npt
 from nimprep.conversion.records import DEPTHS, UnitRecord
 from nimprep.errors import StoreError
 from nimprep.store.reader import Store
-from nimprep.store.shards import encode_chunk, split_shard
+from nimprep.store.seal import MEND, chunk_checksum
+from nimprep.store.shards import encode_chunk, read_checksums, read_index, split_shard
 from nimprep.store.storage import LocalStorage
 from nimprep.store.writer import StoreLayout, StoreWriter
 
@@ -54,6 +55,16 @@ class StoreChunks:
         image = np.full(shape, fill, dtype=array.dtype)
         image[: array.shape[1], : array.shape[2]] = array.read(frame)
         return encode_chunk(image, self._layout.chunk_codec(modality))
+
+    def whole(self, modality: str, shard: int) -> Path | None:
+        """Return the file of a shard that can stay as it is; None = it lacks a chunk.
+
+        Other programs leave out chunks that are all fill value; since format 1.1 none may lack.
+        """
+        array = self._store.arrays[modality]
+        if self._store.tables.chunk_crc32c is None and None in array.read_checksums(shard):
+            return None
+        return Path(self._store.path) / array.shard_key(shard)
 
 
 class UnitChunks:
@@ -109,7 +120,7 @@ def join_shards(
     chunks: Chunks,
     done: Callable[[], None],
     whole: Callable[[str, range], Path | None] = lambda modality, frames: None,
-) -> None:
+) -> npt.NDArray[np.uint32]:
     """Write the shards of every image array; one shard at a time is held in memory.
 
     Parameters
@@ -123,22 +134,48 @@ def join_shards(
         Returns the file that holds just these frames of a modality, as the new shard is to, if
         there is one: it is linked, or copied where it cannot be.
 
+    Returns
+    -------
+    (frames, modalities) uint32
+        What the chunks end with that are in the shards now.
+
     Raises
     ------
     StoreError
         What is there is damaged, or the disk is full.
     """
     layout = writer.layout
+    found = np.zeros((layout.frames, len(layout.modalities)), dtype=np.uint32)
     for number, first in enumerate(range(0, layout.frames, layout.shard_length)):
         frames = range(first, min(layout.frames, first + layout.shard_length))
-        for modality in layout.modalities:
+        for column, modality in enumerate(layout.modalities):
             path = whole(modality, frames)
             if path is None:
-                writer.write_shard(modality, number, chunks(modality, frames))
+                some = chunks(modality, frames)
+                writer.write_shard(modality, number, some)
+                checksums = [chunk_checksum(chunk) for chunk in some]
             else:
-                link_or_copy(path, Path(str(writer.storage)) / writer.shard_key(modality, number))
+                key = writer.shard_key(modality, number)
+                link_or_copy(path, Path(str(writer.storage)) / key)
+                checksums = _checksums_of(writer, key, len(frames))
+            found[frames.start : frames.stop, column] = checksums
         for _ in frames:
             done()
+    return found
+
+
+def _checksums_of(writer: StoreWriter, key: str, frames: int) -> list[int]:
+    """Return what each chunk of a shard that was linked ends with."""
+    length = writer.layout.shard_length
+    index = read_index(Path(str(writer.storage)) / key, length)
+    found = read_checksums(writer.storage, key, index, frames)
+    there = [checksum for checksum in found if checksum is not None]
+    if len(there) < frames:
+        raise StoreError(
+            f"{writer.storage}/{key}: expected the chunks of {frames} frames, found {len(there)}; "
+            f"{MEND}"
+        )
+    return there
 
 
 def link_or_copy(path: Path, other: Path) -> None:

@@ -15,7 +15,7 @@ from nimprep.modality import MODALITIES
 from nimprep.readers import Reader
 from nimprep.readers.crop import Margins
 from nimprep.store.reader import Store
-from nimprep.store.spec import FORMAT_VERSION
+from nimprep.store.spec import check_changeable
 
 
 def options_like(store: Store, **reading: Any) -> ConvertOptions:
@@ -32,6 +32,7 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
         The store is of a format or a making that this version has not.
     """
     attributes = store.attributes
+    check_changeable(attributes["format_version"], str(store.path))
     known = {field.name for field in fields(ConvertOptions)}
     recipe = asdict(recipe_from(attributes["modalities"]))
     margins = astuple(Margins(**attributes["crop"]))
@@ -48,14 +49,11 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
     held = (array.modality for array in store.arrays.values())
     described = describe_modalities(held, options.recipe)
     found = {name: attributes["modalities"][name] for name in store.modalities}
-    for what, wanted, there in (
-        ("format", FORMAT_VERSION, attributes["format_version"]),
-        *((name, described[name], found[name]) for name in store.modalities),
-    ):
-        if wanted != there:
+    for name in store.modalities:
+        if described[name] != found[name]:
             raise StoreError(
-                f"{store.path}: expected {what} {wanted}, as this version makes it, found {there}; "
-                "convert everything anew"
+                f"{store.path}: expected {name} {described[name]}, as this version makes it, "
+                f"found {found[name]}; convert everything anew"
             )
     return options
 
@@ -142,19 +140,16 @@ def check_alike(stores: Sequence[Store]) -> None:
     """
     first = stores[0]
     for store in stores:
+        check_changeable(store.attributes["format_version"], str(store.path))
         a, b = first.attributes, store.attributes
         modalities = a["modalities"].keys() | b["modalities"].keys()
-        found: list[tuple[str, Any, Any]]
-        if b["format_version"] != FORMAT_VERSION:
-            found = [("format", FORMAT_VERSION, b["format_version"])]
-        else:
-            found = [
-                ("modalities", ", ".join(first.modalities), ", ".join(store.modalities)),
-                ("classes", named(first.classes), named(store.classes)),
-                ("colours", [c.color for c in first.classes], [c.color for c in store.classes]),
-                ("crop", Margins(**a["crop"]), Margins(**b["crop"])),
-                *((m, a["modalities"].get(m), b["modalities"].get(m)) for m in sorted(modalities)),
-            ]
+        found: list[tuple[str, Any, Any]] = [
+            ("modalities", ", ".join(first.modalities), ", ".join(store.modalities)),
+            ("classes", named(first.classes), named(store.classes)),
+            ("colours", [c.color for c in first.classes], [c.color for c in store.classes]),
+            ("crop", Margins(**a["crop"]), Margins(**b["crop"])),
+            *((m, a["modalities"].get(m), b["modalities"].get(m)) for m in sorted(modalities)),
+        ]
         for what, wanted, there in found:
             if wanted != there:
                 raise StoreError(

@@ -28,7 +28,8 @@ from nimprep.conversion.workspace import open_workspace
 from nimprep.errors import SplitError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.store.reader import Store, open_store
-from nimprep.store.spec import PRESETS, TABLES
+from nimprep.store.spec import PRESETS
+from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
 from nimprep.store.writer import StoreLayout, StoreWriter
 
 
@@ -162,13 +163,14 @@ class _Merge:
         """Write everything."""
         with ThreadPoolExecutor(self._workers, thread_name_prefix="nimprep") as pool:
             chunks = self._chunks(writer.layout, pool)
-            join_shards(writer, chunks, start("merging", self._frames))
+            checksums = join_shards(writer, chunks, start("merging", self._frames))
         percentiles = None
         if "depth" in writer.layout.modalities:
             done = start("reading depth", self._frames)
             counts = sum(depth_counts(store, self._workers, done) for store in self._stores)
             percentiles = depth_percentiles(np.asarray(counts))
-        writer.finish(self._tables(), self._attributes(percentiles))
+        tables = {**self._tables(), CHUNK_CHECKSUMS: checksums}
+        writer.finish(tables, self._attributes(percentiles))
 
     def _chunks(self, layout: StoreLayout, pool: ThreadPoolExecutor) -> Chunks:
         sources = [StoreChunks(store, layout) for store in self._stores]

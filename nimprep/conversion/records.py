@@ -36,6 +36,8 @@ class FrameFacts:
         Direction HHA was made with; NaN without HHA.
     channel_sums : 7 x 3
         See `nimprep.store.statistics.channel_sums`.
+    chunk_crc32c : dict of modality to int
+        What the frame's chunks end with.
     digest : str
         SHA-256 of the frame's source files.
     """
@@ -48,6 +50,7 @@ class FrameFacts:
     cam_to_road: list[list[float]]
     gravity: list[float]
     channel_sums: list[list[int]]
+    chunk_crc32c: dict[str, int]
     digest: str
 
 
@@ -106,8 +109,10 @@ class UnitRecord:
         return replace(self, depth_counts=self.depth_counts[:0].copy())
 
 
-def tables(facts: Sequence[FrameFacts], splits: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
-    """Return the per-frame arrays, by the names of `nimprep.store.spec.TABLES`."""
+def tables(
+    facts: Sequence[FrameFacts], splits: Sequence[str], modalities: Sequence[str]
+) -> dict[str, npt.NDArray[Any]]:
+    """Return the per-frame arrays, by the names of `nimprep.store.table_specs.table_specs`."""
     return {
         "frame_id": np.array([f.id for f in facts], dtype="T"),
         "split": np.array([SPLIT_CODES[s] for s in splits], dtype=np.uint8),
@@ -118,6 +123,9 @@ def tables(facts: Sequence[FrameFacts], splits: Sequence[str]) -> dict[str, npt.
         "cam_to_road": np.array([f.cam_to_road for f in facts]),
         "gravity": np.array([f.gravity for f in facts]),
         "channel_sums": np.array([f.channel_sums for f in facts], dtype=np.int64),
+        "chunk_crc32c": np.array(
+            [[f.chunk_crc32c[m] for m in modalities] for f in facts], dtype=np.uint32
+        ),
     }
 
 

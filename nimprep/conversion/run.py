@@ -237,7 +237,9 @@ class Run:
         }
         layout = replace(self.job.layout, frames=len(facts))
         splits = plan_splits(self._reader, self._options, ids)
-        StoreWriter(self._workspace.store, layout).finish(tables(facts, splits), attributes)
+        StoreWriter(self._workspace.store, layout).finish(
+            tables(facts, splits, layout.modalities), attributes
+        )
 
     def _pack(self, records: Sequence[UnitRecord]) -> None:
         lengths = [len(record.frames) for record in records]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +13,23 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
-from nimprep.frame import MAX_PIXELS, LabelClass
+from nimprep.frame import LabelClass
 from nimprep.modality import Modality
 from nimprep.store.buffers import empty
+from nimprep.store.image_layout import layout_problems
 from nimprep.store.metadata import ROOT, read_document
+from nimprep.store.seal import MEND
 from nimprep.store.shards import (
     MISSING,
     check_chunk,
     chunk_span,
     decode_chunk,
     parse_index,
+    read_checksums,
     read_chunk,
     read_index,
 )
-from nimprep.store.spec import MAX_FRAMES, ArraySpec, image_spec
+from nimprep.store.spec import image_spec
 from nimprep.store.storage import LocalStorage, Storage
 
 Index = npt.NDArray[np.uint64]
@@ -33,6 +37,26 @@ Index = npt.NDArray[np.uint64]
 
 _CHUNK_OVERHEAD = 20
 """What a chunk can be larger than its image by: Blosc's header and the checksum."""
+
+
+@dataclass(frozen=True)
+class OwnChunks:
+    """Say which chunks of an image array are a store's own.
+
+    Attributes
+    ----------
+    ids : tuple of str
+        Frame ids, for messages.
+    checksums : bytes
+        What each frame's chunk ends with, four bytes a frame.
+    """
+
+    ids: tuple[str, ...]
+    checksums: bytes
+
+    def of_frame(self, frame: int) -> bytes:
+        """Return what a frame's chunk ends with."""
+        return self.checksums[4 * frame : 4 * frame + 4]
 
 
 class ImageArray:
@@ -50,6 +74,8 @@ class ImageArray:
         The store's.
     document : dict, optional
         The array's metadata, where it has been read already.
+    own : OwnChunks, optional
+        What every chunk is compared with; None = any that is undamaged will do.
 
     Raises
     ------
@@ -63,11 +89,13 @@ class ImageArray:
         modality: Modality,
         classes: tuple[LabelClass, ...] = (),
         document: dict[str, Any] | None = None,
+        own: OwnChunks | None = None,
     ) -> None:
         self.modality = modality
         self.name = name = modality.name
         self.spec = spec = image_spec(modality, classes)
         self._storage = storage
+        self._own = own
         self._root = storage.root if isinstance(storage, LocalStorage) else None
         document = document or read_document(storage, f"{name}/{ROOT}")
         problems = layout_problems(document, spec)
@@ -117,13 +145,63 @@ class ImageArray:
         return index
 
     def fetch(self, frame: int) -> npt.NDArray[np.uint8] | None:
-        """Return a frame's checked, still compressed chunk; None where it is all fill value."""
+        """Return a frame's checked, still compressed chunk; None where it is all fill value.
+
+        Raises
+        ------
+        StoreError
+            It is damaged, or not the one that the store's tables go with.
+        """
         shard, position = divmod(frame, self.shard_length)
         if self._root is None:
-            return self._requested(shard, position)
-        if shard not in self._shards:
-            self._shards[shard] = self._root / self.shard_key(shard), self.read_index(shard)
-        return read_chunk(*self._shards[shard], position)
+            packed = self._requested(shard, position)
+        else:
+            if shard not in self._shards:
+                self._shards[shard] = self._root / self.shard_key(shard), self.read_index(shard)
+            packed = read_chunk(*self._shards[shard], position)
+        if self._own is not None:
+            found = None if packed is None else packed[-4:].tobytes()
+            if found != self._own.of_frame(frame):
+                raise StoreError(self._foreign(frame, found))
+        return packed
+
+    def _foreign(self, frame: int, found: bytes | None) -> str:
+        """Return what to say of a chunk that ends with other bytes than the store's own does."""
+        assert self._own is not None
+        place = f"{self._storage}/{self.shard_key(frame // self.shard_length)}"
+        what = "none" if found is None else "another version's"
+        return (
+            f"{place}: frame {self._own.ids[frame]!r}: expected the image that the store's tables "
+            f"go with, found {what}; {MEND}"
+        )
+
+    def read_checksums(self, shard: int) -> list[int | None]:
+        """Return what each chunk of a shard ends with; None for one that is not there.
+
+        Raises
+        ------
+        StoreError
+            The shard is missing, too short, or its index is damaged.
+        """
+        frames = min(self.shard_length, len(self) - shard * self.shard_length)
+        index = self.read_index(shard)
+        return read_checksums(self._storage, self.shard_key(shard), index, frames)
+
+    def check_shard(self, shard: int) -> None:
+        """Look at a shard's index and checksums, without its images.
+
+        Raises
+        ------
+        StoreError
+            The index is damaged, or a chunk is not the one that the store's tables go with.
+        """
+        if self._own is None:
+            self.read_index(shard)
+            return
+        for frame, checksum in enumerate(self.read_checksums(shard), shard * self.shard_length):
+            found = None if checksum is None else checksum.to_bytes(4, "little")
+            if found != self._own.of_frame(frame):
+                raise StoreError(self._foreign(frame, found))
 
     def _requested(self, shard: int, position: int) -> npt.NDArray[np.uint8] | None:
         """Return a chunk by one request, after one for the index at the first of a shard."""
@@ -133,7 +211,7 @@ class ImageArray:
         offset, length = span
         found = self._storage.read_range(self.shard_key(shard), offset, length)
         data = empty((length,), np.uint8)
-        data[: len(found)] = np.frombuffer(found, dtype=np.uint8)
+        data[:] = np.frombuffer(found, dtype=np.uint8)
         check_chunk(data, len(found), position, f"{self._storage}/{self.shard_key(shard)}")
         return data
 
@@ -178,62 +256,3 @@ class ImageArray:
         out = empty(self.shape[1:], self.dtype)
         self.decode(self.fetch(frame), out, frame)
         return out
-
-
-def layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
-    """Return in what an image array's zarr.json differs from the format, a line each."""
-    try:
-        return _layout_problems(document, spec)
-    except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
-        return [f"expected an array's metadata, found it malformed ({error!r:.200})"]
-
-
-def _byte_orders(spec: ArraySpec, codec: dict[str, Any]) -> tuple[str, str]:
-    found = codec.get("configuration", {}).get("endian", "little")
-    return "little", found if spec.dtype.endswith("16") else "little"
-
-
-def _layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
-    problems = []
-    shape = document["shape"]
-    grid = document["chunk_grid"]["configuration"]["chunk_shape"]
-    sharding = document["codecs"][0]
-    inner = sharding["configuration"]
-    blosc = [codec["name"] for codec in inner["codecs"]]
-    expected: list[tuple[str, Any, Any]] = [
-        ("zarr_format", 3, document["zarr_format"]),
-        ("node_type", "array", document["node_type"]),
-        ("key encoding", "default", document["chunk_key_encoding"]["name"]),
-        ("dimension names", list(spec.dims), document.get("dimension_names")),
-        ("data type", spec.dtype, document["data_type"]),
-        ("fill value", spec.fill, document["fill_value"]),
-        ("dimensions", len(spec.dims), len(shape)),
-        ("chunk grid", "regular", document["chunk_grid"]["name"]),
-        ("key encoding", {"separator": "/"}, document["chunk_key_encoding"]["configuration"]),
-        ("codec", "sharding_indexed", sharding["name"]),
-        ("codecs", 1, len(document["codecs"])),
-        ("chunk codecs", ["bytes", "blosc", "crc32c"], blosc),
-        ("byte order", *_byte_orders(spec, inner["codecs"][0])),
-        ("chunk shape", [1, *shape[1:]], inner["chunk_shape"]),
-        ("shard shape", [grid[0], *shape[1:]], grid),
-        ("index place", "end", inner.get("index_location", "end")),
-        ("index codecs", ["bytes", "crc32c"], [c["name"] for c in inner["index_codecs"]]),
-        (
-            "index byte order",
-            "little",
-            inner["index_codecs"][0].get("configuration", {}).get("endian", "little"),
-        ),
-        ("transformers", [], document.get("storage_transformers", [])),
-    ]
-    for what, wanted, found in expected:
-        if wanted != found:
-            problems.append(f"expected {what} {wanted}, found {found!r:.200}")
-    numbers = [*shape, grid[0]]
-    sane = all(type(n) is int and n > 0 for n in numbers)
-    if not sane or grid[0] > 1 << 16 or shape[0] > MAX_FRAMES:
-        problems.append(
-            f"expected positive sizes, found shape {shape!r:.200} in shards of {grid[0]!r:.200}"
-        )
-    elif shape[1] * shape[2] > MAX_PIXELS or (len(shape) == 4 and shape[3] != 3):
-        problems.append(f"expected images of at most {MAX_PIXELS} pixels, found shape {shape}")
-    return problems

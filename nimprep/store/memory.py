@@ -12,7 +12,7 @@ from typing import Any
 import numpy.typing as npt
 
 from nimprep.store.metadata import ROOT
-from nimprep.store.spec import TABLE_SHAPES
+from nimprep.store.table_specs import table_key
 
 
 class MemoryFiles:
@@ -34,11 +34,6 @@ class MemoryFiles:
     def contents(self) -> dict[str, bytes]:
         """Return the files as they are now."""
         return {key: buffer.to_bytes() for key, buffer in self._buffers.items()}
-
-
-def table_key(name: str) -> str:
-    """Return where a per-frame array's one chunk lies."""
-    return "/".join((name, "c", "0", *("0" for _ in TABLE_SHAPES.get(name, ()))))
 
 
 def encode_table(name: str, document: bytes, values: npt.NDArray[Any]) -> bytes:

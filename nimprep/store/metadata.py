@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nimprep.errors import StoreError
 from nimprep.schema import MAX_BYTES, parse_json
+from nimprep.store.seal import with_digest
 from nimprep.store.spec import check_version
 
 if TYPE_CHECKING:
@@ -71,7 +72,11 @@ def read_root(storage: Storage, *, complete: bool = True) -> dict[str, Any]:
     StoreError
         There is no store, it is of another program or version, or it is not complete.
     """
-    data = storage.read(ROOT, MAX_BYTES)
+    return root_from(storage.read(ROOT, MAX_BYTES), storage, complete=complete)
+
+
+def root_from(data: bytes | None, storage: Storage, *, complete: bool = True) -> dict[str, Any]:
+    """Return the document of a store's root from its bytes, None = none; see `read_root`."""
     if data is None:
         there = Path(str(storage)).exists()
         said = f"no {ROOT} in it" if there else "nothing"
@@ -93,10 +98,10 @@ def read_root(storage: Storage, *, complete: bool = True) -> dict[str, Any]:
 
 
 def write_attributes(store: Path | str | Storage, attributes: dict[str, Any]) -> None:
-    """Replace the `nimprep` object of a store's root; all else there stays."""
+    """Replace the `nimprep` object of a store's root, with a new digest; all else there stays."""
     from nimprep.store.location import storage_from
 
     storage = storage_from(store)
     document = read_document(storage, ROOT)
-    document["attributes"] = {**document["attributes"], "nimprep": attributes}
+    document["attributes"] = {**document["attributes"], "nimprep": with_digest(attributes)}
     storage.write(ROOT, [json.dumps(document, indent=2).encode() + b"\n"])

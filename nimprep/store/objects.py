@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from nimprep.errors import StoreError
 from nimprep.store.connection import connect, live, requesting
+from nimprep.store.storage import check_part
 
 if TYPE_CHECKING:
     from obstore.store import ObjectStore
@@ -25,6 +26,9 @@ PART_BYTES = 5 << 20
 
 PARALLEL = 16
 """Requests made at once where several are needed."""
+
+READ_ALONG = 1 << 20
+"""Bytes between two places that come along with both, which takes no longer than a request more."""
 
 Version = dict[str, Any]
 """What tells one state of an object from another."""
@@ -138,15 +142,33 @@ class ObjectStorage:
         store = self._store()
         try:
             found = store.get(key, options={"range": {"suffix": length}})
-            return found.bytes().to_bytes(), found.meta["size"]
+            data, size = found.bytes().to_bytes(), found.meta["size"]
         except NotSupportedError:
             size = store.head(key)["size"]  # Azure counts from the beginning only
-            return store.get_range(key, start=max(0, size - length), end=size).to_bytes(), size
+            data = store.get_range(key, start=max(0, size - length), end=size).to_bytes()
+        start = max(0, size - length)
+        return check_part(data, start, size - start, f"{self.url}/{key}"), size
 
     @requesting
     def read_range(self, key: str, offset: int, length: int) -> bytes:
-        """Return bytes from within an object, fewer where it ends before. One request."""
-        return self._store().get_range(key, start=offset, length=length).to_bytes()
+        """Return bytes from within an object. One request."""
+        data = self._store().get_range(key, start=offset, length=length).to_bytes()
+        return check_part(data, offset, length, f"{self.url}/{key}")
+
+    def read_ranges(self, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Return bytes from several places within an object.
+
+        One request for places with less than `READ_ALONG` between one and the next.
+        """
+
+        def read(run: list[tuple[int, int]]) -> list[bytes]:
+            first = run[0][0]
+            data = self.read_range(key, first, sum(run[-1]) - first)
+            return [data[offset - first : offset - first + length] for offset, length in run]
+
+        # Not obstore's own `get_ranges`, which panics where a server answers with less.
+        with ThreadPoolExecutor(PARALLEL) as pool:
+            return [part for parts in pool.map(read, _runs(spans)) for part in parts]
 
     @requesting
     def write(self, key: str, parts: Sequence[bytes]) -> None:
@@ -265,6 +287,17 @@ class ObjectStorage:
         from zarr.storage import ObjectStore
 
         return ObjectStore(self._store())
+
+
+def _runs(spans: Iterable[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+    """Return offsets and lengths, in rising order, in groups that one request brings."""
+    runs: list[list[tuple[int, int]]] = []
+    for offset, length in spans:
+        if runs and 0 <= offset - sum(runs[-1][-1]) < READ_ALONG:
+            runs[-1].append((offset, length))
+        else:
+            runs.append([(offset, length)])
+    return runs
 
 
 def _refuse_lost_bucket(error: FileNotFoundError) -> None:

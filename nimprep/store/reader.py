@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import operator
-import re
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -14,90 +12,20 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
 from nimprep.frame import Frame, LabelClass
-from nimprep.schema import check_json
+from nimprep.schema import MAX_BYTES, check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
+from nimprep.store.connection import RequestError
+from nimprep.store.frame_tables import read_tables
 from nimprep.store.frames import StoredFrame, check_size
-from nimprep.store.images import ImageArray
+from nimprep.store.images import ImageArray, OwnChunks
 from nimprep.store.location import Place, location_from, storage_from
-from nimprep.store.memory import table_key
-from nimprep.store.metadata import ROOT, consolidated, read_document, read_root
-from nimprep.store.spec import TABLE_SHAPES, TABLES, stored_modalities
+from nimprep.store.metadata import ROOT, consolidated, root_from
+from nimprep.store.seal import digest_problem
+from nimprep.store.spec import stored_modalities
 from nimprep.store.storage import LocalStorage, Storage
-from nimprep.store.tables import LARGEST_CHUNK, decode_table
 
-_SLASHES = re.compile(r"[/\\]")
-
-
-@dataclass(frozen=True)
-class Tables:
-    """Hold what a store says of each frame; every array has the frame first."""
-
-    frame_id: tuple[str, ...]
-    split: npt.NDArray[np.uint8]
-    group: tuple[str, ...]
-    image_size: npt.NDArray[np.int32]
-    intrinsics: npt.NDArray[np.float64]
-    baseline: npt.NDArray[np.float64]
-    cam_to_road: npt.NDArray[np.float64]
-    gravity: npt.NDArray[np.float64]
-    channel_sums: npt.NDArray[np.int64]
-
-
-def read_tables(storage: Storage, copies: Mapping[str, dict[str, Any]] | None = None) -> Tables:
-    """Read the per-frame arrays of a store.
-
-    Parameters
-    ----------
-    copies : mapping of str to dict, optional
-        Metadata of arrays that has been read already.
-
-    Raises
-    ------
-    StoreError
-        One is missing, damaged, of another dtype or of another length than the others.
-    """
-    documents = dict(copies or {})
-    keys = {name: table_key(name) for name in TABLES}
-    chunks = storage.read_many(list(keys.values()), LARGEST_CHUNK)
-    arrays: dict[str, npt.NDArray[Any]] = {}
-    for name, spec in TABLES.items():
-        where = f"{storage}/{name}"
-        try:
-            document = documents.get(name) or read_document(storage, f"{name}/{ROOT}")
-            # A chunk that is gone would be all fill value to a Zarr library.
-            if (chunk := chunks[keys[name]]) is None:
-                raise StoreError(f"{where}: expected its chunk, found none")
-            arrays[name] = decode_table(document, spec, TABLE_SHAPES.get(name, ()), chunk)
-        except StoreError:
-            raise
-        except ValueError as error:
-            raise StoreError(f"{where}: expected a table in one chunk, found {error}") from error
-    lengths = {name: len(values) for name, values in arrays.items()}
-    if len(set(lengths.values())) != 1:
-        raise StoreError(f"{storage}: expected tables of one length, found {lengths}")
-    for frame_id in arrays["frame_id"]:
-        _check_id(frame_id, storage)
-    return Tables(
-        frame_id=tuple(str(i) for i in arrays["frame_id"]),
-        split=arrays["split"],
-        group=tuple(str(g) for g in arrays["group"]),
-        image_size=arrays["image_size"],
-        intrinsics=arrays["intrinsics"],
-        baseline=arrays["baseline"],
-        cam_to_road=arrays["cam_to_road"],
-        gravity=arrays["gravity"],
-        channel_sums=arrays["channel_sums"],
-    )
-
-
-def _check_id(frame_id: str, storage: Storage) -> None:
-    """Raise `StoreError` for an id that would lead elsewhere as a file's name: others write it."""
-    parts = _SLASHES.split(frame_id)
-    if not frame_id.isprintable() or not {"", ".", ".."}.isdisjoint(parts):
-        raise StoreError(
-            f"{storage}/frame_id: expected names that files below a folder can have, "
-            f"found {frame_id!a}"
-        )
+_TRIES = 5
+"""Times that a store is opened which is replaced each time while it is being opened."""
 
 
 class Store:
@@ -113,7 +41,7 @@ class Store:
     storage : Storage
         What reads it.
     attributes : dict
-        The `nimprep` object of the store's root (schemas/store.schema.json).
+        The `nimprep` object of the store's root (schemas/store.schema.json), as it is in force.
     ids : tuple of str
         Frame ids, in the order of the arrays.
     classes : tuple of LabelClass
@@ -128,18 +56,40 @@ class Store:
 
     def __init__(self, place: Place | Storage, modalities: Collection[str] | None = None) -> None:
         storage = self.storage = storage_from(place)
-        local = isinstance(storage, LocalStorage)
-        path: Place = storage.root if isinstance(storage, LocalStorage) else str(storage)
-        self.path = path
-        root = read_root(storage)
-        # One request in place of one per array; `validate` compares them with the arrays' own.
-        copies = {} if local else consolidated(root)
-        self.attributes: dict[str, Any] = root["attributes"]["nimprep"]
-        check_json(self.attributes, "store", f"{path}: attributes", StoreError)
-        self.classes = tuple(
-            LabelClass(c["id"], c["name"], tuple(c["color"])) for c in self.attributes["classes"]
+        self.path: Place = storage.root if isinstance(storage, LocalStorage) else str(storage)
+        before = storage.read(ROOT, MAX_BYTES)
+        for _ in range(_TRIES):
+            failure = None
+            try:
+                self._open(root_from(before, storage), modalities)
+                if self.tables.chunk_crc32c is not None:
+                    return
+            except RequestError:
+                raise
+            except StoreError as error:
+                failure = error
+            # What was read may be of two stores, the one that was here and the one that took its
+            # place; of format 1.0, without a sign that it is.
+            after = storage.read(ROOT, MAX_BYTES)
+            if after == before:
+                if failure is not None:
+                    raise failure
+                return
+            before = after
+        raise StoreError(
+            f"{self.path}: expected a store that stays while it is opened, found it replaced "
+            f"{_TRIES} times; open it again"
         )
-        stored = stored_modalities(self.attributes["modalities"])
+
+    def _open(self, root: dict[str, Any], modalities: Collection[str] | None) -> None:
+        storage, path = self.storage, self.path
+        # One request in place of one per array; `validate` compares them with the arrays' own.
+        copies = {} if isinstance(storage, LocalStorage) else consolidated(root)
+        attributes: dict[str, Any] = root["attributes"]["nimprep"]
+        check_json(attributes, "store", f"{path}: attributes", StoreError)
+        if problem := digest_problem(attributes):
+            raise StoreError(f"{path}: attributes: {problem}")
+        stored = stored_modalities(attributes["modalities"])
         self.modalities = tuple(stored if modalities is None else modalities)
         for name in self.modalities:
             if name not in stored:
@@ -147,10 +97,14 @@ class Store:
                     f"{path}: expected one of the stored modalities {', '.join(stored)}, "
                     f"found {name!r}; convert again with --modalities"
                 )
-        self.tables = read_tables(storage, copies)
+        self.tables, self.attributes = read_tables(storage, attributes, tuple(stored), copies)
         self.ids = self.tables.frame_id
+        self.classes = tuple(
+            LabelClass(c["id"], c["name"], tuple(c["color"])) for c in attributes["classes"]
+        )
+        own = {name: self._own_chunks(column) for column, name in enumerate(stored)}
         self.arrays = {
-            name: ImageArray(storage, stored[name], self.classes, copies.get(name))
+            name: ImageArray(storage, stored[name], self.classes, copies.get(name), own[name])
             for name in self.modalities
         }
         for name, array in self.arrays.items():
@@ -158,6 +112,12 @@ class Store:
                 raise StoreError(
                     f"{path}/{name}: expected {len(self.ids)} frames, found {array.shape[0]}"
                 )
+
+    def _own_chunks(self, column: int) -> OwnChunks | None:
+        checksums = self.tables.chunk_crc32c
+        if checksums is None:
+            return None
+        return OwnChunks(self.ids, checksums[:, column].astype("<u4").tobytes())
 
     def __len__(self) -> int:
         return len(self.ids)

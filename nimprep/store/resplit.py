@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from nimprep.errors import StoreError
 from nimprep.splits import SPLIT_CODES, SplitName, assign_splits, splits_from_file
 from nimprep.store.location import Place
-from nimprep.store.memory import encode_table, table_key
+from nimprep.store.memory import encode_table
 from nimprep.store.metadata import ROOT, write_attributes
 from nimprep.store.reader import open_store
+from nimprep.store.seal import chunk_checksum
+from nimprep.store.spec import check_changeable
 from nimprep.store.storage import Storage
+from nimprep.store.table_specs import table_key
 
 
 def resplit(
@@ -47,6 +52,7 @@ def resplit(
         There is no store, or it cannot be written.
     """
     store = open_store(path)
+    check_changeable(store.attributes["format_version"], str(store.path))
     if split_file is not None:
         splits = splits_from_file(split_file, store.ids)
         described: dict[str, Any] = {"rule": "file"}
@@ -72,7 +78,19 @@ def _write(
     splits: Mapping[str, str],
     described: dict[str, Any],
 ) -> None:
+    """Change table and rule in one step, whatever happens between: see `nimprep.store.seal`."""
     codes = np.array([SPLIT_CODES[name] for name in splits.values()], dtype=np.uint8)
-    document = storage.read(f"split/{ROOT}") or b""
-    storage.write(table_key("split"), [encode_table("split", document, codes)])
-    write_attributes(storage, {**attributes, "split": described})
+    chunk = encode_table("split", storage.read(f"split/{ROOT}") or b"", codes)
+    before, after = (chunk_checksum(c) for c in (storage.read(table_key("split")) or b"", chunk))
+    changed = {**attributes, "split": described}
+    if "tables" in attributes:
+        changed["tables"] = {**attributes["tables"], "split": after}
+    if before == after:
+        write_attributes(storage, changed)
+        return
+    past = {**attributes["split"], "crc32c": before}
+    write_attributes(storage, {**changed, "split_before": past})
+    storage.write(table_key("split"), [chunk])
+    # The split is changed by now, with the reminder or without.
+    with suppress(StoreError):
+        write_attributes(storage, changed)

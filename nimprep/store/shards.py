@@ -14,7 +14,7 @@ import os
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import google_crc32c
 import numpy as np
@@ -24,7 +24,11 @@ from numcodecs import blosc
 from nimprep.errors import StoreError
 from nimprep.files import open_plain
 from nimprep.store.buffers import empty
+from nimprep.store.seal import MEND
 from nimprep.store.spec import ChunkCodec
+
+if TYPE_CHECKING:
+    from nimprep.store.storage import Storage
 
 MISSING = 2**64 - 1
 """Offset, in an index, of a chunk that is all fill value and not there."""
@@ -125,6 +129,32 @@ def split_shard(data: bytes, capacity: int, where: str) -> list[bytes]:
     return chunks
 
 
+def read_checksums(
+    storage: Storage, key: str, index: npt.NDArray[np.uint64], frames: int
+) -> list[int | None]:
+    """Return what each of a shard's first chunks ends with, without the rest of them.
+
+    Parameters
+    ----------
+    frames : int
+        So many are looked at. None for those that are all fill value and therefore not there.
+
+    Raises
+    ------
+    StoreError
+        The shard is gone, cut short, or has a chunk too short for a checksum.
+    """
+    spans = [chunk_span(index, position) for position in range(frames)]
+    short = next((n for n, span in enumerate(spans) if span is not None and span[1] < 4), None)
+    if short is not None:
+        raise StoreError(
+            f"{storage}/{key}: expected at least 4 bytes of chunk {short}, found {spans[short]}"
+        )
+    there = [(offset + length - 4, 4) for offset, length in filter(None, spans)]
+    ends = iter(storage.read_ranges(key, there))
+    return [None if span is None else int.from_bytes(next(ends), "little") for span in spans]
+
+
 def read_chunk(
     path: Path, index: npt.NDArray[np.uint64], position: int
 ) -> npt.NDArray[np.uint8] | None:
@@ -149,7 +179,7 @@ def read_chunk(
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise StoreError(f"{path}: expected a shard, found {error.strerror}") from error
+        raise StoreError(f"{path}: expected a shard, found {error.strerror}; {MEND}") from error
     check_chunk(data, found, position, path)
     return data
 
@@ -163,9 +193,13 @@ def chunk_span(index: npt.NDArray[np.uint64], position: int) -> tuple[int, int] 
 def check_chunk(data: npt.NDArray[np.uint8], found: int, position: int, where: object) -> None:
     """Raise `StoreError` unless all of a chunk's bytes were found, and their checksum fits."""
     if found != len(data) or found < 4:
-        raise StoreError(f"{where}: expected {len(data)} bytes of chunk {position}, found {found}")
+        raise StoreError(
+            f"{where}: expected {len(data)} bytes of chunk {position}, found {found}; {MEND}"
+        )
     if google_crc32c.value(data) != _CRC_RESIDUE:
-        raise StoreError(f"{where}: expected chunk {position} undamaged, found a wrong checksum")
+        raise StoreError(
+            f"{where}: expected chunk {position} undamaged, found a wrong checksum; {MEND}"
+        )
 
 
 def decode_chunk(packed: npt.NDArray[np.uint8] | bytes, out: npt.NDArray[Any], where: str) -> None:

@@ -1,4 +1,4 @@
-"""Format 1.0 as data: which arrays a store holds, how they are laid out, coded and described."""
+"""The format as data: which images a store holds, how arrays are laid out, coded and described."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from typing import Any
 from nimprep.errors import StoreError
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
-from nimprep.splits import SPLIT_CODES
 
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
+
+WITHOUT_CHECKSUMS = "1.0"
+"""The format whose stores do not say which chunks are theirs: any that are whole are taken."""
+
+KNOWN_VERSIONS = (WITHOUT_CHECKSUMS, FORMAT_VERSION)
+"""Formats all of which this version knows; of a newer one it reads what these have."""
 
 COORDINATES = "frame_id split group"
 
@@ -33,12 +38,15 @@ class ArraySpec:
         What a pixel, or a frame's entry, is before it is written.
     attributes : dict
         CF attributes, which xarray decodes by.
+    rest : tuple of int
+        Of a table, what follows the frame dimension; images are of a store's own size.
     """
 
     dims: tuple[str, ...]
     dtype: str
     fill: int | float | str
     attributes: dict[str, Any]
+    rest: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,88 +88,6 @@ def image_spec(modality: Modality, classes: tuple[LabelClass, ...]) -> ArraySpec
     return ArraySpec(
         dims if modality.channels else dims[:3], modality.dtype, modality.fill, attributes
     )
-
-
-TABLES: dict[str, ArraySpec] = {
-    "frame_id": ArraySpec(("frame",), "string", "", {"long_name": "frame id"}),
-    "split": ArraySpec(
-        ("frame",),
-        "uint8",
-        SPLIT_CODES["none"],
-        {
-            "long_name": "split",
-            "flag_values": list(SPLIT_CODES.values()),
-            "flag_meanings": " ".join(SPLIT_CODES),
-        },
-    ),
-    "group": ArraySpec(("frame",), "string", "", {"long_name": "scene"}),
-    "image_size": ArraySpec(
-        ("frame", "size"),
-        "int32",
-        0,
-        {
-            "long_name": "height and width before padding",
-            "units": "pixel",
-            "coordinates": COORDINATES,
-        },
-    ),
-    "intrinsics": ArraySpec(
-        ("frame", "row", "column"),
-        "float64",
-        0.0,
-        {
-            "long_name": "camera matrix K, (0, 0) = centre of the top-left pixel",
-            "units": "pixel",
-            "coordinates": COORDINATES,
-        },
-    ),
-    "baseline": ArraySpec(
-        ("frame",),
-        "float64",
-        "NaN",
-        {"long_name": "stereo baseline", "units": "m", "coordinates": COORDINATES},
-    ),
-    "cam_to_road": ArraySpec(
-        ("frame", "row", "road_column"),
-        "float64",
-        "NaN",
-        {
-            "long_name": "transform from the camera frame of the stored image to the road frame",
-            "units": "m",
-            "coordinates": COORDINATES,
-        },
-    ),
-    "gravity": ArraySpec(
-        ("frame", "axis"),
-        "float64",
-        "NaN",
-        {
-            "long_name": "direction of gravity in the camera frame that HHA was made with",
-            "units": "1",
-            "coordinates": COORDINATES,
-        },
-    ),
-    "channel_sums": ArraySpec(
-        ("frame", "sum_channel", "sum"),
-        "int64",
-        0,
-        {
-            "long_name": "number, sum and sum of squares of the pixels with a value, per channel",
-            "channels": ["red", "green", "blue", "depth in mm", "hha 1", "hha 2", "hha 3"],
-            "coordinates": COORDINATES,
-        },
-    ),
-}
-"""The arrays with one entry per frame, which every store has."""
-
-TABLE_SHAPES: dict[str, tuple[int, ...]] = {
-    "image_size": (2,),
-    "intrinsics": (3, 3),
-    "cam_to_road": (3, 4),
-    "gravity": (3,),
-    "channel_sums": (7, 3),
-}
-"""What follows the frame dimension in the tables that have more than one."""
 
 
 @dataclass(frozen=True)
@@ -214,4 +140,19 @@ def check_version(version: object, where: str) -> None:
         raise StoreError(
             f"{where}: expected store format {FORMAT_VERSION}, found {version!r}; "
             "a newer nimprep may read it"
+        )
+
+
+def check_changeable(version: object, where: str) -> None:
+    """Refuse to change, or to copy into another, a store that may hold what is not known here.
+
+    Raises
+    ------
+    StoreError
+        Its format is newer.
+    """
+    if version not in KNOWN_VERSIONS:
+        raise StoreError(
+            f"{where}: expected store format {FORMAT_VERSION} or older to work on, "
+            f"found {version!r}; a newer nimprep can do it"
         )

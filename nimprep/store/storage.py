@@ -7,10 +7,11 @@ import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 from nimprep.errors import StoreError
 from nimprep.files import open_plain, read_file, replace_file
+from nimprep.store.seal import MEND
 
 
 @runtime_checkable
@@ -34,7 +35,11 @@ class Storage(Protocol):
         ...
 
     def read_range(self, key: str, offset: int, length: int) -> bytes:
-        """Return bytes from the middle of what is under a key, fewer where it ends before."""
+        """Return bytes from the middle of what is under a key; fewer are an error."""
+        ...
+
+    def read_ranges(self, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Return what `read_range` returns, for several offsets and lengths in rising order."""
         ...
 
     def write(self, key: str, parts: Sequence[bytes]) -> None:
@@ -66,6 +71,26 @@ class Storage(Protocol):
         ...
 
     def __str__(self) -> str: ...
+
+
+def check_part(data: bytes, offset: int, length: int, where: str) -> bytes:
+    """Return the part of a file or an object that was asked for.
+
+    Raises
+    ------
+    StoreError
+        It is longer or shorter.
+    """
+    if len(data) != length:
+        raise StoreError(
+            f"{where}: expected {length} bytes from byte {offset} on, found {len(data)}; {MEND}"
+        )
+    return data
+
+
+def _read_part(file: BinaryIO, offset: int, length: int, where: str) -> bytes:
+    file.seek(offset)
+    return check_part(file.read(length), offset, length, where)
 
 
 class LocalStorage:
@@ -120,14 +145,17 @@ class LocalStorage:
     def read_tail(self, key: str, length: int) -> tuple[bytes, int]:
         """Return a file's last bytes, and its size."""
         with open_plain(self.locate(key), error=StoreError) as (file, size):
-            file.seek(max(0, size - length))
-            return file.read(length), size
+            start = max(0, size - length)
+            return _read_part(file, start, size - start, f"{self}/{key}"), size
 
     def read_range(self, key: str, offset: int, length: int) -> bytes:
         """Return bytes from within a file."""
+        return self.read_ranges(key, [(offset, length)])[0]
+
+    def read_ranges(self, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Return bytes from several places within a file."""
         with open_plain(self.locate(key), error=StoreError) as (file, _):
-            file.seek(offset)
-            return file.read(length)
+            return [_read_part(file, *span, f"{self}/{key}") for span in spans]
 
     def write(self, key: str, parts: Sequence[bytes]) -> None:
         """Write a file beside its place, then move it there."""

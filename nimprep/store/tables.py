@@ -30,17 +30,15 @@ _TEXT_PER_FRAME = 256
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
-def decode_table(
-    document: dict[str, Any], spec: ArraySpec, rest: tuple[int, ...], chunk: bytes
-) -> npt.NDArray[Any]:
-    """Return the values of a per-frame array, (frame, *rest), from its metadata and its chunk.
+def decode_table(document: dict[str, Any], spec: ArraySpec, chunk: bytes) -> npt.NDArray[Any]:
+    """Return the values of a per-frame array, (frame, *spec.rest), from its metadata and its chunk.
 
     Raises
     ------
     ValueError
         It is laid out in another way than the format says, or damaged.
     """
-    shape = check_table(document, spec, rest)
+    shape = check_table(document, spec)
     if len(chunk) < 4 or google_crc32c.value(chunk[:-4]) != int.from_bytes(chunk[-4:], "little"):
         raise ValueError("a wrong checksum")
     if spec.dtype == "string":
@@ -50,9 +48,7 @@ def decode_table(
     return np.frombuffer(data, dtype).astype(spec.dtype).reshape(shape)
 
 
-def check_table(
-    document: dict[str, Any], spec: ArraySpec, rest: tuple[int, ...]
-) -> tuple[int, ...]:
+def check_table(document: dict[str, Any], spec: ArraySpec) -> tuple[int, ...]:
     """Return a per-frame array's shape.
 
     Raises
@@ -70,7 +66,7 @@ def check_table(
             ("node_type", "array", document["node_type"]),
             ("data type", spec.dtype, document["data_type"]),
             ("dimensions", list(spec.dims), document.get("dimension_names")),
-            ("shape after the frame", list(rest), shape[1:]),
+            ("shape after the frame", list(spec.rest), shape[1:]),
             ("chunk grid", "regular", document["chunk_grid"]["name"]),
             ("one chunk of shape", shape, chunk_shape),
             ("codecs", [first, "zstd", "crc32c"], [codec["name"] for codec in codecs]),

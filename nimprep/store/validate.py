@@ -17,13 +17,15 @@ from nimprep.errors import NimprepError, StoreError
 from nimprep.parallel import Progress, map_in_order
 from nimprep.schema import MAX_BYTES, schema_problems
 from nimprep.splits import SPLIT_CODES
-from nimprep.store.images import ImageArray, layout_problems
+from nimprep.store.image_layout import layout_problems
+from nimprep.store.images import ImageArray
 from nimprep.store.location import Place, storage_from
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, consolidated, read_attributes, read_document
 from nimprep.store.reader import Store
-from nimprep.store.spec import TABLE_SHAPES, TABLES, ArraySpec
+from nimprep.store.spec import KNOWN_VERSIONS, ArraySpec
 from nimprep.store.storage import Storage
+from nimprep.store.table_specs import table_specs
 from nimprep.store.tables import check_table
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -98,7 +100,7 @@ def validate_store(
     deep: bool = False,
     progress: Progress | None = None,
 ) -> Report:
-    """Check a store against format 1.0.
+    """Check a store against the format.
 
     Parameters
     ----------
@@ -162,7 +164,7 @@ def check_consolidated(store: Store, report: Report) -> None:
     copies = consolidated(root)
     if root.get("node_type") != "group":
         report.add(f"{ROOT}: expected node_type 'group', found {root.get('node_type')!r}")
-    expected = {*store.modalities, *TABLES}
+    expected = {*store.modalities, *_tables(store)}
     # Where folders cannot be listed, what the copies name is asked for.
     plain = {name for name in copies if _PLAIN_NAME.fullmatch(name)}
     names = sorted(expected | plain | set(store.storage.folders()))
@@ -170,7 +172,8 @@ def check_consolidated(store: Store, report: Report) -> None:
         report.add(f"{ROOT}: expected metadata of arrays, found a name that can be none's")
     found = store.storage.read_many([f"{name}/{ROOT}" for name in names], MAX_BYTES)
     there = {name for name in names if found[f"{name}/{ROOT}"] is not None}
-    if there != expected:
+    newer = store.attributes["format_version"] not in KNOWN_VERSIONS
+    if expected - there if newer else there != expected:
         report.add(f"arrays: expected {sorted(expected)}, found {sorted(there)}")
     for name in sorted(there & expected):
         if copies.get(name) != read_document(store.storage, f"{name}/{ROOT}"):
@@ -201,7 +204,11 @@ def check_tables(store: Store, report: Report) -> None:
         if report.full:
             break
         _check_camera(store, number, report)
-    report.count("tables", len(TABLES))
+    report.count("tables", len(_tables(store)))
+
+
+def _tables(store: Store) -> dict[str, ArraySpec]:
+    return table_specs(store.modalities, store.attributes["format_version"])
 
 
 def _check_camera(store: Store, number: int, report: Report) -> None:
@@ -228,10 +235,11 @@ def _check_camera(store: Store, number: int, report: Report) -> None:
 
 
 def check_arrays(store: Store, report: Report) -> None:
-    """Check every array's dimensions, codecs and attributes, and every shard's index."""
-    specs = {name: array.spec for name, array in store.arrays.items()} | TABLES
-    for name in [*store.modalities, *TABLES]:
-        found = _attributes(store.storage, name, specs[name])
+    """Check every array's dimensions, codecs and attributes, and whose chunks each shard holds."""
+    tables = _tables(store)
+    specs = {name: array.spec for name, array in store.arrays.items()} | tables
+    for name in specs:
+        found = _attributes(store.storage, name, specs[name], table=name in tables)
         for key, value in specs[name].attributes.items():
             if found.get(key) != value:
                 report.add(
@@ -240,9 +248,9 @@ def check_arrays(store: Store, report: Report) -> None:
     shapes = {array.shape[1:3] for array in store.arrays.values()}
     if len(shapes) > 1:
         report.add(f"arrays: expected images of one size, found {sorted(shapes)}")
-    for name, images in store.arrays.items():
-        look = partial(_index_problem, images)
-        with closing(map_in_order(look, images.shards, _AT_ONCE)) as problems:
+    for name, array in store.arrays.items():
+        look = partial(_shard_problem, array)
+        with closing(map_in_order(look, array.shards, _AT_ONCE)) as problems:
             for problem in problems:
                 if problem:
                     report.add(f"{name}: {problem}")
@@ -251,7 +259,7 @@ def check_arrays(store: Store, report: Report) -> None:
                     return
 
 
-def _attributes(storage: Storage, name: str, spec: ArraySpec) -> dict[str, Any]:
+def _attributes(storage: Storage, name: str, spec: ArraySpec, *, table: bool) -> dict[str, Any]:
     """Return the attributes in an array's own document, after zarr-python has taken it.
 
     zarr-python gets nothing else of the store, and that only where it is laid out as it should be:
@@ -260,17 +268,17 @@ def _attributes(storage: Storage, name: str, spec: ArraySpec) -> dict[str, Any]:
     import zarr
 
     document = read_document(storage, f"{name}/{ROOT}")
-    if name in TABLES:
-        check_table(document, spec, TABLE_SHAPES.get(name, ()))
+    if table:
+        check_table(document, spec)
     elif problems := layout_problems(document, spec):
         raise StoreError(f"{name}: {problems[0]}")
     files = MemoryFiles({f"{name}/{ROOT}": json.dumps(document).encode()})
     return dict(zarr.open_array(files.zarr, path=name, mode="r", zarr_format=3).attrs)
 
 
-def _index_problem(images: ImageArray, shard: int) -> str:
+def _shard_problem(array: ImageArray, shard: int) -> str:
     try:
-        images.read_index(shard)
+        array.check_shard(shard)
     except StoreError as error:
         return str(error)
     return ""

@@ -20,16 +20,11 @@ from nimprep.modality import MODALITIES, Modality
 from nimprep.store.exchange import exchange
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, read_attributes
+from nimprep.store.seal import sealed
 from nimprep.store.shards import encode_shard
-from nimprep.store.spec import (
-    TABLE_SHAPES,
-    TABLES,
-    ArraySpec,
-    ChunkCodec,
-    chunk_codec,
-    image_spec,
-)
+from nimprep.store.spec import ArraySpec, ChunkCodec, chunk_codec, image_spec
 from nimprep.store.storage import Storage
+from nimprep.store.table_specs import table_key, table_specs
 
 if TYPE_CHECKING:
     import zarr
@@ -219,18 +214,18 @@ class StoreWriter:
         Parameters
         ----------
         tables : mapping
-            One array per name in `TABLES`, frame first.
+            One array per name in `table_specs`, frame first.
         attributes : mapping
-            The finished `nimprep` object, `complete` not counted.
+            The finished `nimprep` object; `complete` and what `sealed` adds do not count.
         """
         import zarr
 
         memory = MemoryFiles({})
         group = zarr.open_group(memory.zarr, mode="w", zarr_format=3)
-        group.attrs["nimprep"] = {**attributes, "complete": True}
         for modality in self.layout.modalities:
             self._create_images(group, modality)
-        for name, spec in TABLES.items():
+        specs = table_specs(self.layout.modalities)
+        for name, spec in specs.items():
             create_table(group, name, spec, tables[name])
         with warnings.catch_warnings():
             # Consolidated metadata is an extension that xarray reads, and warns without.
@@ -238,6 +233,8 @@ class StoreWriter:
             zarr.consolidate_metadata(memory.zarr)
         files = memory.contents()
         root = json.loads(files.pop(ROOT))
+        chunks = {name: files[table_key(name)] for name in specs}
+        root["attributes"]["nimprep"] = sealed({**attributes, "complete": True}, chunks)
         for key, data in files.items():
             self.storage.write(key, [data])
         self.storage.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
@@ -267,7 +264,7 @@ def create_table(group: zarr.Group, name: str, spec: ArraySpec, values: npt.NDAr
     """Write one per-frame array as a single checked chunk."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    shape = (len(values), *TABLE_SHAPES.get(name, ()))
+    shape = (len(values), *spec.rest)
     array = group.create_array(
         name,
         shape=shape,

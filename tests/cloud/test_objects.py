@@ -1,5 +1,6 @@
 """Bytes under a URL: what a `Storage` promises, and requests that fail."""
 
+import http.client
 import os
 import pickle
 import sys
@@ -36,7 +37,10 @@ def test_what_is_written_is_read(storage: Storage) -> None:
     assert storage.read_tail("a/b", 3) == (b"you", 9)
     assert storage.read_tail("a/b", 300) == (b"hello you", 9)
     assert storage.read_range("a/b", 6, 2) == b"yo"
-    assert storage.read_range("a/b", 6, 200) == b"you"
+    assert storage.read_ranges("a/b", [(0, 1), (6, 2)]) == [b"h", b"yo"]
+    assert storage.read_ranges("a/b", []) == []
+    with pytest.raises(StoreError, match="expected 200 bytes from byte 6 on, found 3"):
+        storage.read_range("a/b", 6, 200)
     assert storage.sizes(["a/b", "a/c", "a/d"]) == {"a/b": 9, "a/c": 0}
     assert isinstance(storage, Storage)
 
@@ -85,6 +89,7 @@ CALLS = {
     "read": (lambda s: s.read("a"), b"hello"),
     "tail": (lambda s: s.read_tail("a", 2), (b"lo", 5)),
     "range": (lambda s: s.read_range("a", 1, 2), b"el"),
+    "ranges": (lambda s: s.read_ranges("a", [(0, 1), (4, 1)]), [b"h", b"o"]),
     "write": (lambda s: [s.write("b", [b"1"]), s.read("b")][1], b"1"),
     "parts": (lambda s: [s.write("b", [BIG]), s.read("b")][1], BIG),
     "keys": (lambda s: s.keys(), ["a"]),
@@ -103,6 +108,32 @@ def test_a_request_that_fails_is_made_again(url: str, proxy: Proxy, name: str, k
     proxy.fault = spoil(kind, 2)
     assert call(storage) == expected
     assert len(proxy.spoilt) == 2
+
+
+@pytest.mark.parametrize("answer", [b"hello, hello", b"h", b""])
+@pytest.mark.parametrize("name", ["tail", "range", "ranges"])
+def test_an_answer_of_another_length_than_asked_for_is_said(
+    url: str, monkeypatch: pytest.MonkeyPatch, name: str, answer: bytes
+) -> None:
+    storage = ObjectStorage(url)
+    storage.write("a", [b"hello"])
+    read = http.client.HTTPResponse.read
+    # What the server says goes through the proxy, which asks by Python's own client.
+    monkeypatch.setattr(
+        http.client.HTTPResponse, "read", lambda r: answer if r.status == 206 else read(r)
+    )
+    with pytest.raises(StoreError, match=rf"/a: expected \d bytes .*, found {len(answer)}; copy"):
+        CALLS[name][0](storage)
+
+
+def test_places_that_lie_close_come_by_one_request(url: str, proxy: Proxy) -> None:
+    storage = ObjectStorage(url)
+    storage.write("a", [BIG])
+    proxy.forget()
+    far = objects.READ_ALONG
+    spans = [(0, 4), (9, 4), (9 + far, 4), (17 + 2 * far, 4), (21 + 2 * far, 4)]
+    assert storage.read_ranges("a", spans) == [BIG[start : start + 4] for start, _ in spans]
+    assert len(proxy.requests) == 2
 
 
 def test_a_server_that_does_not_answer_is_asked_again(url: str, proxy: Proxy) -> None:

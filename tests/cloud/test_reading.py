@@ -20,7 +20,7 @@ from nimprep.errors import StoreError
 from nimprep.store.info import store_info
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.resplit import resplit
-from nimprep.store.spec import TABLES
+from nimprep.store.table_specs import table_specs
 from nimprep.store.validate import validate_store
 from nimprep.torch import StoreDataset, StoreLoader
 from tests.cloud.server import Proxy
@@ -34,7 +34,7 @@ def run(*arguments: object) -> tuple[int, str, str]:
 
 def test_opening_takes_one_request_and_one_per_table(made: str, proxy: Proxy) -> None:
     nimprep.open_store(made)
-    assert len(proxy.requests) == len(proxy.seen("GET")) == 1 + len(TABLES)
+    assert len(proxy.requests) == len(proxy.seen("GET")) == 1 + len(table_specs())
     assert len(set(map(repr, proxy.requests))) == len(proxy.requests)
 
 
@@ -137,8 +137,9 @@ def test_a_new_split_gives_the_bytes_it_gives_in_a_folder(
     here = tmp_path / "s.zarr"
     shutil.copytree(local, here)
     assert resplit(made, seed=5) == resplit(here, seed=5)
-    # The root comes last: it says by which rule the codes before it were made.
-    assert [r.path.split("out.zarr/")[1] for r in proxy.seen("PUT")] == ["split/c/0", "zarr.json"]
+    # The root says which rule is to be and which is; the codes; then the root which rule is.
+    put = [r.path.split("out.zarr/")[1] for r in proxy.seen("PUT")]
+    assert put == ["zarr.json", "split/c/0", "zarr.json"]
     storage = ObjectStorage(made)
     assert storage.read_many(storage.keys()) == contents(here)
 

@@ -16,6 +16,7 @@ from nimprep.store.validate import validate_store
 from tests.conversion.mortal import Mortals
 from tests.conversion.test_append import damage, images_and_tables, same, write_frames
 from tests.fakes import contents, write_gmrp, write_nyu_like
+from tests.resealing import edit_attributes
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
@@ -156,12 +157,6 @@ def test_a_scene_may_not_straddle_splits(tmp_path: Path) -> None:
     assert validate_store(tmp_path / "m.zarr").problems == []
 
 
-def edit_attributes(store: Path, **changes: object) -> None:
-    root = json.loads((store / "zarr.json").read_text())
-    root["attributes"]["nimprep"] |= changes
-    (store / "zarr.json").write_text(json.dumps(root))
-
-
 def test_what_the_metadata_says_of_frames_is_joined(tmp_path: Path) -> None:
     source = write_gmrp(tmp_path / "a", 3)
     damage(source / "rgb" / "000001.png")
@@ -219,10 +214,10 @@ def test_other_classes_formats_and_places_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="--overwrite"):
         nimprep.merge_stores([a, b], target)
     edit_attributes(b, format_version="1.7")
-    with pytest.raises(StoreError, match=r"expected format 1\.0 .*found 1\.7"):
+    with pytest.raises(StoreError, match=r"expected store format 1\.1 or older .*found '1\.7'"):
         nimprep.merge_stores([a, b], target, overwrite=True)
     classes = nimprep.open_store(a).attributes["classes"][:2]
-    edit_attributes(b, format_version="1.0", classes=classes)
+    edit_attributes(b, format_version="1.1", classes=classes)
     with pytest.raises(StoreError, match=r"expected classes 0 background, .* 2 road anomaly as in"):
         nimprep.merge_stores([a, b], target, overwrite=True)
     assert contents(target) == contents(a)

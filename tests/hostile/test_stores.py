@@ -15,7 +15,8 @@ from nimprep.errors import StoreError
 from nimprep.modality import MODALITIES
 from nimprep.store.images import ImageArray
 from nimprep.store.reader import open_store
-from nimprep.store.spec import MAX_FRAMES, TABLES
+from nimprep.store.spec import MAX_FRAMES
+from nimprep.store.table_specs import table_specs
 from nimprep.store.validate import validate_store
 from tests.hostile.damage import damaged, damaged_document
 from tests.hostile.fuzzing import fuzz, limited_time, survives
@@ -36,6 +37,7 @@ from tests.hostile.stores import (
 )
 
 IMAGES = ("rgb", "depth", "normal", "hha", "label")
+TABLES = table_specs(IMAGES)
 ARRAYS = (*IMAGES, *TABLES)
 
 

@@ -24,6 +24,7 @@ from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
 from tests.derive import roads
 from tests.fakes import write_png
+from tests.resealing import reseal
 
 SIZE = roads.CAMERA.shape
 
@@ -204,5 +205,6 @@ def test_deep_validation_finds_what_is_not_as_made(
     values = np.array(array[...])
     values[1, 150, 100] = PLANES[name].none if value is None else value
     array[...] = values
+    reseal(copy)
     problems = validate_store(copy, deep=True).problems
     assert any(f"{name}: " in problem and words in problem for problem in problems), problems

@@ -85,14 +85,18 @@ def test_zarr_and_tensorstore_read_the_same_pixels(made: Path) -> None:
         assert np.array_equal(tensorstore.open(spec).result().read().result(), stored)
 
 
-def test_a_shard_that_zarr_wrote_is_read_too(made: Path, tmp_path: Path) -> None:
+def test_an_image_that_another_program_wrote_into_a_store_is_refused_by_name(
+    made: Path, tmp_path: Path
+) -> None:
     copy = copied(made, tmp_path)
     array = zarr.open_group(copy, mode="r+")["label"]
     array[0] = 255  # all fill value: zarr leaves the chunk out of the shard
     array[1] = 1
     store = nimprep.open_store(copy)
-    assert (store[0].label == 255).all()
-    assert (store[1].label == 1).all()
+    with pytest.raises(StoreError, match=r"label/c/0/0/0: frame '000000': expected .* found none"):
+        store[0]
+    with pytest.raises(StoreError, match=r"'000001': expected the image .* another version's"):
+        store[1]
     assert np.array_equal(store[2].label, nimprep.open_store(made)[2].label)
 
 

@@ -12,8 +12,11 @@ import nimprep
 from nimprep.schema import load_schema, schema_problems
 from nimprep.store.info import store_info
 from nimprep.store.metadata import read_attributes, write_attributes
+from nimprep.store.seal import attributes_digest
+from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.validate import validate_store
 from tests.fakes import write_gmrp, write_nyu_like
+from tests.resealing import reseal
 
 CASES = Path(__file__).parent / "invalid_attributes"
 
@@ -55,6 +58,7 @@ def edit(name: str, change: Callable[[np.ndarray], None]) -> Callable[[Path], No
         values = np.array(array[...])
         change(values)
         array[...] = values
+        reseal(store)
 
     return apply
 
@@ -82,6 +86,7 @@ def edit_json(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[
         document = json.loads(path.read_text())
         change(document)
         path.write_text(json.dumps(document))
+        reseal(store)
 
     return apply
 
@@ -222,7 +227,7 @@ def test_the_attributes_of_a_real_store_fit_the_schema(made: Path) -> None:
 
 def test_every_invalid_example_is_found_with_its_verdict(made: Path, tmp_path: Path) -> None:
     cases = sorted(CASES.glob("*.json"))
-    assert len(cases) == 14
+    assert len(cases) == 18
     for number, path in enumerate(cases):
         case = json.loads(path.read_text())
         attributes = {**read_attributes(made), **case["change"]}
@@ -231,7 +236,12 @@ def test_every_invalid_example_is_found_with_its_verdict(made: Path, tmp_path: P
         problems = schema_problems(attributes, "store")
         assert any(case["verdict"] in problem for problem in problems), (path.name, problems)
         store = Path(shutil.copytree(made, tmp_path / str(number)))
-        write_attributes(store, {**attributes, "format_version": "1.0"})
+        root = json.loads((store / "zarr.json").read_text())
+        attributes = {**attributes, "format_version": FORMAT_VERSION}
+        if "digest" in attributes:
+            attributes["digest"] = attributes_digest(attributes)
+        root["attributes"]["nimprep"] = attributes
+        (store / "zarr.json").write_text(json.dumps(root))
         if "format_version" not in case["change"] and "format_version" not in case.get(
             "without", []
         ):

@@ -1,0 +1,121 @@
+"""The per-frame arrays of the format, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nimprep.splits import SPLIT_CODES
+from nimprep.store.spec import COORDINATES, FORMAT_VERSION, WITHOUT_CHECKSUMS, ArraySpec
+
+TABLES: dict[str, ArraySpec] = {
+    "frame_id": ArraySpec(("frame",), "string", "", {"long_name": "frame id"}),
+    "split": ArraySpec(
+        ("frame",),
+        "uint8",
+        SPLIT_CODES["none"],
+        {
+            "long_name": "split",
+            "flag_values": list(SPLIT_CODES.values()),
+            "flag_meanings": " ".join(SPLIT_CODES),
+        },
+    ),
+    "group": ArraySpec(("frame",), "string", "", {"long_name": "scene"}),
+    "image_size": ArraySpec(
+        ("frame", "size"),
+        "int32",
+        0,
+        {
+            "long_name": "height and width before padding",
+            "units": "pixel",
+            "coordinates": COORDINATES,
+        },
+        (2,),
+    ),
+    "intrinsics": ArraySpec(
+        ("frame", "row", "column"),
+        "float64",
+        0.0,
+        {
+            "long_name": "camera matrix K, (0, 0) = centre of the top-left pixel",
+            "units": "pixel",
+            "coordinates": COORDINATES,
+        },
+        (3, 3),
+    ),
+    "baseline": ArraySpec(
+        ("frame",),
+        "float64",
+        "NaN",
+        {"long_name": "stereo baseline", "units": "m", "coordinates": COORDINATES},
+    ),
+    "cam_to_road": ArraySpec(
+        ("frame", "row", "road_column"),
+        "float64",
+        "NaN",
+        {
+            "long_name": "transform from the camera frame of the stored image to the road frame",
+            "units": "m",
+            "coordinates": COORDINATES,
+        },
+        (3, 4),
+    ),
+    "gravity": ArraySpec(
+        ("frame", "axis"),
+        "float64",
+        "NaN",
+        {
+            "long_name": "direction of gravity in the camera frame that HHA was made with",
+            "units": "1",
+            "coordinates": COORDINATES,
+        },
+        (3,),
+    ),
+    "channel_sums": ArraySpec(
+        ("frame", "sum_channel", "sum"),
+        "int64",
+        0,
+        {
+            "long_name": "number, sum and sum of squares of the pixels with a value, per channel",
+            "channels": ["red", "green", "blue", "depth in mm", "hha 1", "hha 2", "hha 3"],
+            "coordinates": COORDINATES,
+        },
+        (7, 3),
+    ),
+}
+"""The arrays with one entry per frame that are the same in every store."""
+
+CHUNK_CHECKSUMS = "chunk_crc32c"
+"""The table that says which chunks are the store's own."""
+
+
+def table_specs(
+    modalities: Sequence[str] = (), version: str = FORMAT_VERSION
+) -> dict[str, ArraySpec]:
+    """Return the per-frame arrays of a store, by name.
+
+    Parameters
+    ----------
+    modalities : sequence of str
+        All that the store has, in the order of `nimprep.frame.MODALITIES`.
+    version : str
+        Its format.
+    """
+    if version == WITHOUT_CHECKSUMS:
+        return TABLES
+    checksums = ArraySpec(
+        ("frame", "modality"),
+        "uint32",
+        0,
+        {
+            "long_name": "CRC-32C that the chunk of a frame ends with, per modality",
+            "modalities": list(modalities),
+            "coordinates": COORDINATES,
+        },
+        (len(modalities),),
+    )
+    return {**TABLES, CHUNK_CHECKSUMS: checksums}
+
+
+def table_key(name: str) -> str:
+    """Return where a per-frame array's one chunk lies."""
+    return "/".join((name, "c", *("0" for _ in table_specs()[name].dims)))
