@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nimprep.errors import DecodeError, LayoutError, NimprepError
-from nimprep.folders import hidden_name, place_of, refuse_inside, sync_file, sync_folder, told
+from nimprep.folders import hidden_name, made, place_of, refuse_inside, sync_file, sync_folder, told
 
 _DONT_WAIT = getattr(os, "O_NONBLOCK", 0)
 _PIECE = 1 << 16
@@ -196,13 +196,13 @@ def adopt(path: Path, before: os.stat_result) -> None:
 @contextmanager
 def _beside(target: Path) -> Iterator[Path]:
     """Give a hidden name in the same folder, which is made as needed; keep the change of names."""
-    target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(hidden_name())
-    try:
-        yield partial
-    finally:
-        partial.unlink(missing_ok=True)
-    sync_folder(target.parent)
+    with made(target.parent):
+        try:
+            yield partial
+        finally:
+            partial.unlink(missing_ok=True)
+        sync_folder(target.parent)
 
 
 def _write(path: Path, data: bytes | Sequence[bytes]) -> None:

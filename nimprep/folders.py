@@ -9,7 +9,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from nimprep.errors import LayoutError, NimprepError
@@ -111,9 +111,7 @@ def whole_folder(
         target = place_of(out)
         there = target.is_dir()
         parent = target if there else target.parent
-        partial = parent / hidden_name()
-        try:
-            partial.mkdir(parents=True)
+        with made(parent), _hidden(parent) as partial:
             yield partial
             sync_tree(partial)
             check_folder(target, *sources, but=partial, error=error)
@@ -122,8 +120,31 @@ def whole_folder(
             if not there:
                 partial.rename(target)
             sync_folder(parent)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def made(folder: Path) -> Iterator[None]:
+    """Make a folder and those above it; after an error take back what is new and empty."""
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            for path in new:
+                path.rmdir()
+        raise
+
+
+@contextmanager
+def _hidden(parent: Path) -> Iterator[Path]:
+    """Give a hidden folder in another; what is left of it at the end goes."""
+    partial = parent / hidden_name()
+    try:
+        partial.mkdir()
+        yield partial
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def hidden_name() -> str:

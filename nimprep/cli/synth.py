@@ -61,7 +61,7 @@ def _free_name() -> Path:
     """Return nimprep-demo, or where that is taken nimprep-demo-2 and so on."""
     numbered = (Path(f"nimprep-demo-{number}") for number in itertools.count(2))
     names = itertools.chain([Path("nimprep-demo")], numbered)
-    return next(path for path in names if not path.exists())
+    return next(path for path in names if not (path.exists() or path.is_symlink()))
 
 
 @click.command()
@@ -70,17 +70,17 @@ def _free_name() -> Path:
 def demo(out: Path | None, quiet: bool) -> None:
     """Make a small dataset in the folder OUT, convert it, check it, and say what to do next.
 
-    Needs no data and no network. OUT is a new folder; default: nimprep-demo.
+    Needs no data and no network. OUT is a new or empty folder; default: nimprep-demo.
     """
     import nimprep
     from nimprep.errors import StoreError
+    from nimprep.folders import check_folder
     from nimprep.store.info import info_text, store_info
     from nimprep.store.validate import validate_store
     from nimprep.synthetic import write_synthetic
 
     out = out or _free_name()
-    if out.exists():
-        raise StoreError(f"{out}: expected a new folder for the demo, found it there already")
+    check_folder(out)
     progress = progress_bars(quiet)
     raw, store = out / "raw", out / "demo.zarr"
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
-from nimprep.folders import sync_folder
+from nimprep.folders import refuse_inside, sync_folder
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
 from nimprep.store.exchange import exchange
@@ -85,6 +85,7 @@ def check_target(target: Path, *, overwrite: bool) -> None:
     StoreError
         Something is there that must stay.
     """
+    refuse_inside(target, error=StoreError)
     try:
         taken = target.is_symlink() or (target.exists() and not target.is_dir())
         filled = not taken and target.is_dir() and any(target.iterdir())

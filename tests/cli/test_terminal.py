@@ -17,7 +17,7 @@ from nimprep.cli.options import progress_bars
 from nimprep.report.server import ViewServer
 from nimprep.store.metadata import read_attributes, write_attributes
 from nimprep.text import printable
-from tests.cli.world import CALLS, Call, commands, make_world, run
+from tests.cli.world import CALLS, EVERY, Call, commands, make_world, run
 from tests.hostile.stores import table, table_file
 
 HOSTILE = "\x1b]0;owned\x07\x1b[1m\x9b2J\r\u202e\x7f\n<script>owned"
@@ -72,14 +72,7 @@ def test_every_command_is_tried() -> None:
     assert CALLS.keys() == {name for name, _ in commands()}
 
 
-EVERY = [call for calls in CALLS.values() for call in calls]
-
-
-def named(call: Call) -> str:
-    return " ".join(map(str, call.arguments))
-
-
-@pytest.mark.parametrize("call", EVERY, ids=named)
+@pytest.mark.parametrize("call", EVERY, ids=str)
 def test_no_name_steers_a_terminal_when_a_command_goes_well(world: Path, call: Call) -> None:
     result = run(call.at(world))
     # A store that was tampered with may be called so.
@@ -90,7 +83,7 @@ def test_no_name_steers_a_terminal_when_a_command_goes_well(world: Path, call: C
         assert b"<script>owned" not in page.read_bytes()
 
 
-@pytest.mark.parametrize("call", EVERY, ids=named)
+@pytest.mark.parametrize("call", EVERY, ids=str)
 def test_no_name_steers_a_terminal_when_nothing_is_there(tmp_path: Path, call: Call) -> None:
     result = run(call.at(tmp_path / HOSTILE / "none"))
     assert result.exit_code == (0 if call.arguments[0] in ("synth", "demo") else 1)

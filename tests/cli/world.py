@@ -23,6 +23,13 @@ CLASSES = ("other", "road")
 COLOURS = [[0, 0, 0], [0, 200, 0]]
 
 
+READ = {
+    *("src", "store", "stores", "predictions", "gt", "images"),
+    *("calib", "description", "camera", "import_file", "split_file"),
+}
+"""Parameters that name what is read alone."""
+
+
 @dataclass(frozen=True)
 class Call:
     """A call of a command that goes well in a world.
@@ -30,61 +37,67 @@ class Call:
     Attributes
     ----------
     arguments : tuple of str or Path
-        Paths are relative to the world.
-    out : str
-        The argument that names what is written; "" = nothing is.
+        Paths are relative to the world; `NEW` is what is written.
+    writes : str
+        What that is: a "file", a "folder" that is new or empty, "files" in a folder that may have
+        others, or a "store"; "" = nothing, or what is there already.
+    parameter : str
+        Which parameter of the command names it.
     """
 
     arguments: tuple[str | Path, ...]
-    out: str = ""
+    writes: str = ""
+    parameter: str = "out"
 
     def at(self, root: Path, out: Path | None = None) -> list[str]:
         """Return the arguments in a world, with another place to write to if one is named."""
-        return [
-            str(out if out is not None and a == Path(self.out) else root / a)
-            if isinstance(a, Path)
-            else a
-            for a in self.arguments
-        ]
+        paths = {NEW: out or root / NEW}
+        return [str(paths.get(a, root / a)) if isinstance(a, Path) else a for a in self.arguments]
+
+    def __str__(self) -> str:
+        return " ".join(map(str, self.arguments))
 
 
 S, RAW, NEW = Path("s.zarr"), Path("raw"), Path("new")
-KITTI = Path("road/training")
+DESCRIBED = ("--description", Path("raw.json"))
 EVALUATE = ("evaluate", S, Path("predictions"))
+MAPS, TRUTH, IMAGES, CALIB = (
+    Path(name)
+    for name in ("maps", *(f"road/training/{n}" for n in ("gt_image_2", "image_2", "calib")))
+)
+KITTI_EVALUATE = ("kitti", "evaluate", MAPS, TRUTH, "--view", "perspective")
 CALLS = {
-    "convert": [Call(("convert", RAW, NEW, "--description", Path("raw.json")), "new")],
-    "append": [Call(("append", Path("more"), S, "--description", Path("raw.json")), "s.zarr")],
-    "merge": [Call(("merge", S, Path("t.zarr"), NEW), "new")],
+    "convert": [Call(("convert", RAW, NEW, *DESCRIBED), "store")],
+    "append": [Call(("append", Path("more"), S, *DESCRIBED))],
+    "merge": [Call(("merge", S, Path("t.zarr"), NEW), "store")],
     "info": [Call(("info", S)), Call(("info", S, "--json"))],
     "validate": [Call(("validate", S, "--deep")), Call(("validate", S, "--json"))],
-    "split": [Call(("split", S)), Call(("split", S, "--export", NEW), "new")],
+    "split": [
+        Call(("split", S)),
+        Call(("split", S, "--seed", "5")),
+        Call(("split", S, "--export", NEW), "file", "export_file"),
+    ],
     "evaluate": [
         *(Call((*EVALUATE, "--format", f)) for f in ("text", "json", "markdown", "latex")),
         Call((*EVALUATE, Path("others"), "--format", "text")),
-        Call((*EVALUATE, "--html", NEW), "new"),
+        Call((*EVALUATE, "--html", NEW), "file", "html"),
     ],
-    "export": [Call(("export", S, NEW, "--format", f), "new") for f in ("png", "npz", "rerun")],
-    "report": [Call(("report", S, NEW), "new")],
+    "export": [
+        Call(("export", S, NEW, "--format", "png"), "folder"),
+        Call(("export", S, NEW, "--format", "npz"), "folder"),
+        Call(("export", S, NEW, "--format", "rerun"), "file"),
+    ],
+    "report": [Call(("report", S, NEW), "file")],
     "view": [Call(("view", S, "--port", "0"))],
-    "synth": [Call(("synth", NEW, "--frames", "1", "--size", "32x24"), "new")],
-    "demo": [Call(("demo", NEW), "new")],
-    "kitti depth": [Call(("kitti", "depth", Path("road"), NEW), "new")],
-    "kitti bev": [
-        Call(("kitti", "bev", Path("maps"), NEW, "--calib", KITTI / "calib"), "new"),
-    ],
-    "kitti evaluate": [
-        Call(("kitti", "evaluate", Path("maps"), KITTI / "gt_image_2", "--view", "perspective"))
-    ],
-    "kitti pack": [
-        Call(("kitti", "pack", Path("maps"), NEW, "--partial", "--calib", KITTI / "calib"), "new")
-    ],
-    "kitti overlay": [
-        Call(
-            ("kitti", "overlay", Path("maps"), KITTI / "gt_image_2", KITTI / "image_2", NEW),
-            "new",
-        )
-    ],
+    "synth": [Call(("synth", NEW, "--frames", "1", "--size", "32x24"), "folder")],
+    "demo": [Call(("demo", NEW), "folder")],
+    "kitti depth": [Call(("kitti", "depth", Path("road"), NEW), "files")],
+    "kitti bev": [Call(("kitti", "bev", MAPS, NEW, "--calib", CALIB), "files")],
+    "kitti evaluate": [Call(KITTI_EVALUATE), Call((*KITTI_EVALUATE, "--json"))],
+    "kitti pack": [Call(("kitti", "pack", MAPS, NEW, "--partial", "--calib", CALIB), "file")],
+    "kitti overlay": [Call(("kitti", "overlay", MAPS, TRUTH, IMAGES, NEW), "files")],
 }
+EVERY = [call for calls in CALLS.values() for call in calls]
 
 
 def commands(group: click.Group = main, prefix: str = "") -> Iterator[tuple[str, click.Command]]:
