@@ -200,8 +200,9 @@ def _beside(target: Path) -> Iterator[Path]:
     with made(target.parent):
         try:
             yield partial
-        finally:
+        except BaseException:
             partial.unlink(missing_ok=True)
+            raise
         sync_folder(target.parent)
 
 
@@ -257,3 +258,5 @@ def _give_new_name(partial: Path, target: Path, error: type[NimprepError]) -> No
         # It is there, or the file system knows no second names.
         _replaced(target, False, error)
         partial.replace(target)
+    else:
+        partial.unlink()

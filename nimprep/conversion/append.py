@@ -152,6 +152,8 @@ def append_frames(
 def _folder(store: Path | str) -> Path:
     """Return the folder of a store that is there, or that a kill left nameless for the moment."""
     path = local_folder(store, "append to")
+    # What is replaced is the store, and not a link to it.
+    path = path.resolve() if path.is_symlink() else path
     if path.exists() or not LocalWorkspace(path, overwrite=True).folder.is_dir():
         read_attributes(path)
     return path

@@ -31,7 +31,7 @@ def check_apart(source: Path, target: Path) -> None:
 
 
 def local_folder(place: Path | str, task: str) -> Path:
-    """Return the folder a store is in, links followed.
+    """Return the folder of a store.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def local_folder(place: Path | str, task: str) -> Path:
             f"{place}: expected a folder on this machine to {task}, found a URL; copy the store "
             "here first"
         )
-    return found.resolve() if found.is_symlink() else found
+    return found
 
 
 def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
