@@ -20,6 +20,17 @@ Values = Literal["colors", "levels", "vectors", "numbers", "classes"]
 """
 
 
+Resize = Literal["linear", "linear where some", "unit vectors", "nearest", "nearest by width"]
+"""How an image is scaled to another size::
+
+    linear             interpolated; where it shrinks, over the area a pixel covers
+    linear where some  the same from the pixels that have something, where the nearest has
+    unit vectors       the same, and then brought to unit length
+    nearest            the nearest pixel's
+    nearest by width   the nearest pixel's, a number of pixels and so scaled with the width
+"""
+
+
 @dataclass(frozen=True)
 class Derivation:
     """Say how a modality is made from others.
@@ -65,6 +76,12 @@ class Modality:
         What is stored where there is none, and in the padding.
     beyond : {"nearest", "none"}
         What numbers become that the integers cannot say.
+    resize : Resize
+        How it is scaled to another size.
+    flip : {"mirror", "mirror and negate x"}
+        What becomes of it when the frame is mirrored left to right.
+    divisor : float
+        Tensors are divided by this, in `units`, for networks to start from; vectors never are.
     fillable : bool
         Whether its holes can be filled before others are made from it.
     attribute : str
@@ -86,6 +103,9 @@ class Modality:
     steps: int = 1
     fill: int = 0
     beyond: Literal["nearest", "none"] = "nearest"
+    resize: Resize = "nearest"
+    flip: Literal["mirror", "mirror and negate x"] = "mirror"
+    divisor: float = 1
     fillable: bool = False
     attribute: str = ""
     derived: Derivation | None = None
@@ -126,6 +146,8 @@ MODALITIES: dict[str, Modality] = {
             values="colors",
             long_name="colour",
             channels=("red", "green", "blue"),
+            resize="linear",
+            divisor=255,
         ),
         Modality(
             name="depth",
@@ -135,6 +157,8 @@ MODALITIES: dict[str, Modality] = {
             dtype="uint16",
             steps=1000,
             beyond="none",
+            # About the range of the D415 that GMRP was taken with.
+            divisor=10,
             fillable=True,
             attribute="depth_m",
         ),
@@ -148,6 +172,8 @@ MODALITIES: dict[str, Modality] = {
             dtype="int8",
             dtypes=("int8", "int16"),
             steps=127,
+            resize="unit vectors",
+            flip="mirror and negate x",
             derived=Derivation(
                 make="nimprep.derive.normals:make_normals",
                 describe="nimprep.derive.normals:describe_normals",
@@ -158,6 +184,8 @@ MODALITIES: dict[str, Modality] = {
             values="levels",
             long_name="HHA",
             channels=("horizontal disparity", "height above ground", "angle with gravity"),
+            resize="linear where some",
+            divisor=255,
             derived=Derivation(
                 make="nimprep.derive.hha:make_hha",
                 describe="nimprep.derive.hha:describe_hha",
@@ -171,6 +199,9 @@ MODALITIES: dict[str, Modality] = {
             dtype="uint16",
             # KITTI's own: up to 255.996 pixels, to 0.002. What is nearer is stored as that.
             steps=256,
+            resize="nearest by width",
+            # About the road's at the lower edge of KITTI's images.
+            divisor=64,
             derived=Derivation(
                 make="nimprep.derive.disparity:make_disparity",
                 describe="nimprep.derive.disparity:describe_disparity",
@@ -186,6 +217,9 @@ MODALITIES: dict[str, Modality] = {
             # As far to either side of the road, to 0.004 pixels: far below what a matcher resolves.
             steps=128,
             fill=-32768,
+            resize="nearest by width",
+            # What lies on a road is off by a few.
+            divisor=16,
             derived=Derivation(
                 make="nimprep.derive.road_profile:make_transformed_disparity",
                 describe="nimprep.derive.road_profile:describe_transformed_disparity",
@@ -200,6 +234,8 @@ MODALITIES: dict[str, Modality] = {
             dtype="int16",
             steps=1000,
             fill=-32768,
+            # What stands on a road is about as high.
+            divisor=2,
             derived=Derivation(
                 make="nimprep.derive.elevation:make_elevation",
                 describe="nimprep.derive.elevation:describe_elevation",

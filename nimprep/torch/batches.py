@@ -13,13 +13,6 @@ from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import CHANNELS, Selection
 from nimprep.torch.source import FrameSource
 
-_STORED: dict[str, torch.dtype] = {
-    "uint8": torch.uint8,
-    "uint16": torch.uint16,
-    "int8": torch.int8,
-    "int16": torch.int16,
-}
-
 
 @dataclass(frozen=True, eq=False)
 class BatchMaker:
@@ -65,15 +58,14 @@ class BatchMaker:
         return batch
 
     def _new_stored(self, name: str, new: Any) -> Tensor:
-        array = self.source.store.arrays.get(name)
-        dtype = torch.int8 if array is None else _STORED[str(array.dtype)]
-        if name == "normal" and self.source.normals != "cached":
-            dtype = torch.int8
+        modality = self.source.modality(name)
+        dtype: torch.dtype = getattr(torch, modality.dtype)
         height, width = self.source.size
-        if CHANNELS[name] == 1:
+        if not modality.channels:
             return new(1, height, width, dtype=dtype)  # type: ignore[no-any-return]
         # In memory the channels stay last, as stored; PyTorch's channels_last format.
-        return new(height, width, 3, dtype=dtype).permute(0, 3, 1, 2)  # type: ignore[no-any-return]
+        image: Tensor = new(*modality.image_shape(height, width), dtype=dtype)
+        return image.permute(0, 3, 1, 2)
 
     def fill(self, batch: Batch, position: int, frame: int) -> None:
         """Decode a frame, by its number in the store, into a place of a batch.

@@ -66,7 +66,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         "stored": images as the store holds them, one tensor per name, for `Normalize` to do the
         float work on the device: rgb and hha (3, H, W) uint8, normal (3, H, W) int8 or int16,
         depth and disparity (1, H, W) uint16, transformed disparity and elevation (1, H, W) int16,
-        label (H, W) uint8; see `nimprep.frame.PLANES` for their steps.
+        label (H, W) uint8; see `nimprep.modality` for their steps.
     seed : int
         Of the generators that transforms draw from.
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from nimprep.frame import PLANES
+from nimprep.modality import Modality
 from nimprep.torch.dataset import StoreDataset
 from nimprep.torch.setups import CHANNELS
 
@@ -27,6 +27,7 @@ class Normalize(nn.Module):
         super().__init__()
         self.selection = dataset.selection
         self.scaling = dataset.scaling
+        self.modalities = {n: dataset.source.modality(n) for n in self.selection.images}
 
     def forward(self, batch: dict[str, Any]) -> dict[str, Any]:
         """Return the batch with float32 inputs and int64 labels, on the device it is on.
@@ -36,7 +37,7 @@ class Normalize(nn.Module):
         batch : dict
             Of rgb, hha (B, 3, H, W) uint8, depth, disparity (B, 1, H, W) uint16,
             transformed_disparity, elevation (B, 1, H, W) int16, all in the steps of
-            `nimprep.frame.PLANES`, normal (B, 3, H, W) int8 or int16, label (B, H, W) uint8, as far
+            `nimprep.modality`, normal (B, 3, H, W) int8 or int16, label (B, H, W) uint8, as far
             as the setup has them. One sample without B will do as well.
 
         Returns
@@ -63,17 +64,16 @@ class Normalize(nn.Module):
         shape = (*first.shape[:-3], sum(channels), *first.shape[-2:])
         out = torch.empty(shape, dtype=torch.float32, device=first.device)
         for name, part in zip(group, torch.split(out, channels, dim=-3), strict=True):
-            self.scaling.apply(name, _physical(name, batch[name]), part)
+            self.scaling.apply(name, _physical(self.modalities[name], batch[name]), part)
         return out
 
 
-def _physical(name: str, stored: Tensor) -> Tensor:
-    """Return numbers in metres or pixels and normals of unit length; colours as they are."""
-    if name in PLANES:
-        numbers = stored.to(torch.float32) / PLANES[name].steps
-        none = PLANES[name].none
-        return numbers.masked_fill(stored == none, torch.nan) if none else numbers
-    if name != "normal":
+def _physical(modality: Modality, stored: Tensor) -> Tensor:
+    """Return numbers in their units and vectors of unit length; colours as they are."""
+    if modality.values == "numbers":
+        numbers = stored.to(torch.float32) / modality.steps
+        return numbers.masked_fill(stored == modality.fill, torch.nan) if modality.fill else numbers
+    if modality.values != "vectors":
         return stored
     vectors = stored.to(torch.float32)
     # The integers' squares sum to 0 or to 1 at least.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -12,33 +13,24 @@ import torch
 from torch import Tensor
 
 from nimprep.errors import ArrayError
-from nimprep.frame import PLANES
+from nimprep.modality import MODALITIES
 from nimprep.store.statistics import ROWS, channel_statistics
 from nimprep.torch.setups import CHANNELS
 
 if TYPE_CHECKING:
     from nimprep.store.reader import Store
 
-DEPTH_SCALE_M = 10.0
-"""Depth is divided by this many metres: about the range of the D415 that GMRP was taken with."""
-
-DISPARITY_SCALE_PX = 64.0
-"""Disparity is divided by as many pixels: about the road's at the lower edge of KITTI's images."""
-
-TRANSFORMED_DISPARITY_SCALE_PX = 16.0
-"""Transformed disparity is divided by as many pixels: what lies on a road is off by a few."""
-
-ELEVATION_SCALE_M = 2.0
-"""Elevation is divided by this many metres: what stands on a road is about as high."""
-
 _CONSTANTS: dict[str, tuple[float, ...]] = {
-    "rgb": (1 / 255,) * 3,
-    "depth": (1 / DEPTH_SCALE_M,),
-    "hha": (1 / 255,) * 3,
-    "disparity": (1 / DISPARITY_SCALE_PX,),
-    "transformed_disparity": (1 / TRANSFORMED_DISPARITY_SCALE_PX,),
-    "elevation": (1 / ELEVATION_SCALE_M,),
+    name: (1 / modality.divisor,) * modality.channel_count
+    for name, modality in MODALITIES.items()
+    if modality.values not in ("vectors", "classes")
 }
+
+# Kept for a release, for those who import them: `nimprep.modality` says them.
+DEPTH_SCALE_M = MODALITIES["depth"].divisor
+DISPARITY_SCALE_PX = MODALITIES["disparity"].divisor
+TRANSFORMED_DISPARITY_SCALE_PX = MODALITIES["transformed_disparity"].divisor
+ELEVATION_SCALE_M = MODALITIES["elevation"].divisor
 
 NAMED = ("constants", "train", "none")
 """What `normalize` can be by name."""
@@ -74,7 +66,7 @@ class Scaling:
 
     @classmethod
     def constants(cls) -> Scaling:
-        """Divide rgb and hha by 255, the others by the constants of this module; no offsets."""
+        """Divide rgb and hha by 255, the others by what their records say; no offsets."""
         return cls(dict(_CONSTANTS), {})
 
     @classmethod
@@ -134,13 +126,14 @@ class Scaling:
             May not overlap the image.
         """
         out.copy_(image)
-        if name == "normal":
+        if name not in _CONSTANTS:
             return
         scale, offset = (torch.from_numpy(row).to(out.device) for row in self.rows(name))
         out.mul_(scale[:, None, None]).add_(offset[:, None, None])
-        if name in PLANES and PLANES[name].none:
+        modality = MODALITIES[name]
+        if math.isnan(modality.absent):
             out.masked_fill_(image.isnan(), 0)
-        elif name != "rgb":
+        elif modality.values != "colors":
             out.masked_fill_((image == 0).all(dim=-3, keepdim=True), 0)
 
 

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nimprep.errors import ArrayError
-from nimprep.frame import MODALITIES, PLANES
+from nimprep.modality import MODALITIES
 
 CHANNELS: dict[str, int] = {
-    **dict.fromkeys(("rgb", "normal", "hha"), 3),
-    **dict.fromkeys(PLANES, 1),
+    name: modality.channel_count
+    for name, modality in MODALITIES.items()
+    if modality.values != "classes"
 }
 """Channels that each modality gives a network."""
 
@@ -102,4 +103,4 @@ def _own_mix(modalities: Sequence[str], fusion: bool) -> Selection:
         )
     if fusion:
         raise ArrayError("fusion: expected a setup to fuse, found modalities; they come apart")
-    return Selection(tuple(name for name in names if name != "label"), "label" in names, ())
+    return Selection(tuple(name for name in names if name in CHANNELS), "label" in names, ())

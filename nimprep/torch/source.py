@@ -14,17 +14,20 @@ from torch.utils.data import get_worker_info
 from nimprep.derive.methods import METHODS, check_method
 from nimprep.derive.normals import estimate_normals
 from nimprep.errors import ArrayError, StoreError
-from nimprep.frame import IGNORE_LABEL, PLANES
 from nimprep.kernels import samples
+from nimprep.modality import MODALITIES, Modality
 from nimprep.store.buffers import empty
 from nimprep.store.frames import (
     depth_from_millimetres,
     from_integers,
-    normals_to_integers,
+    to_integers,
 )
 from nimprep.store.reader import Store
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import Selection
+
+MADE = ("normal",)
+"""What can be made from the stored depth as a frame is read."""
 
 
 class FrameSource:
@@ -55,30 +58,37 @@ class FrameSource:
             check_method(normals)  # compiles its kernels before workers start
         self.store = store
         self.normals = normals
-        named = (*selection.images, *(["label"] if selection.label else []))
-        for name in named:
-            needed = "depth" if name == "normal" and normals != "cached" else name
-            # A setup takes unlabelled frames as well: all of them is 255, ignore.
-            if needed not in store.modalities and (name != "label" or not selection.inputs):
+        self._made = () if normals == "cached" else MADE
+        for name in selection.images:
+            needed = "depth" if name in self._made else name
+            if needed not in store.modalities:
                 raise StoreError(_lacking(store, name, needed))
+        # A setup takes unlabelled frames as well: all of them is 255, ignore.
+        if selection.label and "label" not in store.modalities and not selection.inputs:
+            raise StoreError(_lacking(store, "label", "label"))
         self.size: tuple[int, int] = next(iter(store.arrays.values())).shape[1:3]  # type: ignore[assignment]
+
+    def modality(self, name: str) -> Modality:
+        """Return a modality as `stored` gives it."""
+        array = None if name in self._made else self.store.arrays.get(name)
+        return MODALITIES[name] if array is None else array.modality
 
     def stored(self, name: str, frame: int, out: npt.NDArray[Any] | None = None) -> Any:
         """Return an image as the store holds it, (H, W) or (H, W, 3), in `out` where given."""
         if get_worker_info() is not None:
             # A worker's main thread would else start Blosc's pool of threads.
             blosc.use_threads = False
-        if name == "label" and name not in self.store.arrays:
-            out = empty(self.size, np.uint8) if out is None else out
-            out[...] = IGNORE_LABEL
-            return out
-        if name == "normal" and self.normals != "cached":
-            values = normals_to_integers(self._estimated(frame), "int8")
+        if name in self._made:
+            values = to_integers(MODALITIES[name], self._estimated(frame))
             if out is None:
                 return values
             out[...] = values
             return out
-        array = self.store.arrays[name]
+        array = self.store.arrays.get(name)
+        if array is None:
+            out = empty(self.size, np.uint8) if out is None else out
+            out[...] = MODALITIES[name].fill
+            return out
         out = empty(array.shape[1:], array.dtype) if out is None else out
         array.decode(array.fetch(frame), out, frame)
         return out
@@ -91,15 +101,16 @@ class FrameSource:
         out : (C, H, W) float32, contiguous
         """
         planes = out.numpy().reshape(out.shape[0], -1)
-        if name == "normal":
-            self._unit(frame, planes)
+        modality = self.modality(name)
+        if modality.values == "vectors":
+            self._unit(name, frame, planes)
             return
         stored = self.stored(name, frame).reshape(-1)
         scale, offset = scaling.rows(name)
-        if name in PLANES:
-            none, steps = PLANES[name].none, PLANES[name].steps
-            samples.scaled_plane(stored, none, steps, scale[0], offset[0], planes[0])
-        elif name == "hha":
+        if modality.values == "numbers":
+            fill, steps = modality.fill, modality.steps
+            samples.scaled_plane(stored, fill, steps, scale[0], offset[0], planes[0])
+        elif modality.values == "levels":
             samples.scaled_some(stored, scale, offset, planes)
         else:
             samples.scaled_colors(stored, scale, offset, planes)
@@ -115,24 +126,23 @@ class FrameSource:
         (1, H, W) float32 as a `Frame` has them, normal (3, H, W) float32 unit vectors, label (H, W)
         int64.
         """
-        if name in ("rgb", "hha"):
-            return torch.from_numpy(self.stored(name, frame)).permute(2, 0, 1)
-        if name in PLANES:
-            modality = self.store.arrays[name].modality
-            return torch.from_numpy(from_integers(modality, self.stored(name, frame)))[None]
-        if name == "label":
+        modality = self.modality(name)
+        if modality.values == "vectors":
+            planes = empty((3, *self.size), np.float32)
+            self._unit(name, frame, planes.reshape(3, -1))
+            return torch.from_numpy(planes)
+        if modality.values == "classes":
             label = torch.from_numpy(empty(self.size, np.int64))
             self.label(frame, label)
             return label
-        planes = empty((3, *self.size), np.float32)
-        self._unit(frame, planes.reshape(3, -1))
-        return torch.from_numpy(planes)
+        image = torch.from_numpy(from_integers(modality, self.stored(name, frame)))
+        return image.permute(2, 0, 1) if modality.channels else image[None]
 
-    def _unit(self, frame: int, planes: npt.NDArray[np.float32]) -> None:
-        if self.normals == "cached":
-            samples.unit_vectors(self.stored("normal", frame).reshape(-1), planes)
-        else:
+    def _unit(self, name: str, frame: int, planes: npt.NDArray[np.float32]) -> None:
+        if name in self._made:
             samples.channels_first(self._estimated(frame).reshape(-1), planes)
+        else:
+            samples.unit_vectors(self.stored(name, frame).reshape(-1), planes)
 
     def _estimated(self, frame: int) -> npt.NDArray[np.float32]:
         """Return the normals of a frame's stored depth, (H, W, 3), zeros in the padding."""
@@ -152,8 +162,8 @@ class FrameSource:
 def _lacking(store: Store, name: str, needed: str) -> str:
     there = ", ".join(store.modalities)
     advice = f"convert again with --modalities {','.join((*store.modalities, needed))}"
-    if name == "label":
+    if MODALITIES[name].values == "classes":
         advice = "convert a dataset with labels"
-    elif name == "normal" and needed == "normal" and "depth" in store.modalities:
+    elif name == needed and name in MADE and "depth" in store.modalities:
         advice += f", or compute them with normals={METHODS[0]!r}"
     return f"{store.path}: expected {needed}, found only {there}; {advice}"

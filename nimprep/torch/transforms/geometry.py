@@ -10,18 +10,12 @@ from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
 from nimprep.errors import ArrayError
-from nimprep.frame import IGNORE_LABEL, MODALITIES, PLANES
+from nimprep.modality import MODALITIES
 
 Sample = dict[str, Any]
 
-IMAGES = MODALITIES
+IMAGES = tuple(MODALITIES)
 """The keys of a sample that are images; all of one size."""
-
-
-_PADDING: dict[str, float] = {
-    "label": IGNORE_LABEL,
-    **{name: float("nan") for name, plane in PLANES.items() if plane.none},
-}
 
 
 def frame_size(sample: Sample) -> tuple[int, int]:
@@ -80,7 +74,7 @@ def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample
         inside = image[..., top:bottom, left:right]
         if not any(beyond):
             return inside
-        return pad(inside, beyond, value=_PADDING.get(name, 0))
+        return pad(inside, beyond, value=MODALITIES[name].absent)
 
     result = {**_with_images(sample, cut), "size": (bottom - top, right - left)}
     return _with_camera(result, [[1, 0, -left], [0, 1, -top], [0, 0, 1]])
@@ -96,7 +90,7 @@ def flip(sample: Sample) -> Sample:
 
     def mirror(name: str, image: Tensor) -> Tensor:
         mirrored = torch.cat([image[..., :width].flip(-1), image[..., width:]], dim=-1)
-        if name == "normal":
+        if MODALITIES[name].flip == "mirror and negate x":
             # Taken from 0, so that none stays 0 and does not become -0.
             mirrored[0] = 0 - mirrored[0]
         return mirrored
@@ -138,15 +132,17 @@ def resize(sample: Sample, height: int, width: int) -> Sample:
     def scale(name: str, image: Tensor) -> Tensor:
         image = image[..., :old_height, :old_width]
         nearest = image[..., rows[:, None], columns]
-        if name == "rgb":
-            return _linear_bytes(image, height, width)
-        if name == "hha":
-            return _rounded(_linear_where_known(image.float(), nearest, height, width))
-        if name == "normal":
-            return _unit_normals(_linear_where_known(image, nearest, height, width), nearest)
-        if name in PLANES and PLANES[name].units == "pixel":
-            return nearest * (width / old_width)
-        return nearest
+        match MODALITIES[name].resize:
+            case "linear":
+                return _linear_bytes(image, height, width)
+            case "linear where some":
+                return _rounded(_linear_where_known(image.float(), nearest, height, width))
+            case "unit vectors":
+                return _unit_normals(_linear_where_known(image, nearest, height, width), nearest)
+            case "nearest by width":
+                return nearest * (width / old_width)
+            case "nearest":
+                return nearest
 
     result = {**_with_images(sample, scale), "size": (height, width)}
     sx, sy = width / old_width, height / old_height
