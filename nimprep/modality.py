@@ -45,11 +45,21 @@ class Derivation:
         store's attributes say of it.
     sources : tuple of str
         The modalities that it is made from.
+    covers : {"depth", "depth or nothing", "at least depth"}
+        Where there is some: exactly where depth is, or was filled in; there or nowhere, as where
+        no road is; or elsewhere, too.
+    gravity : bool
+        Whether its maker gives a direction of gravity.
+    masked : bool
+        Whether it depends on which pixels were filled in, which no store says.
     """
 
     make: str
     describe: str
     sources: tuple[str, ...] = ("depth",)
+    covers: Literal["depth", "depth or nothing", "at least depth"] = "depth"
+    gravity: bool = False
+    masked: bool = False
 
 
 @dataclass(frozen=True)
@@ -189,6 +199,9 @@ MODALITIES: dict[str, Modality] = {
             derived=Derivation(
                 make="nimprep.derive.hha:make_hha",
                 describe="nimprep.derive.hha:describe_hha",
+                covers="at least depth",
+                gravity=True,
+                masked=True,
             ),
         ),
         Modality(
@@ -223,6 +236,7 @@ MODALITIES: dict[str, Modality] = {
             derived=Derivation(
                 make="nimprep.derive.road_profile:make_transformed_disparity",
                 describe="nimprep.derive.road_profile:describe_transformed_disparity",
+                covers="depth or nothing",
             ),
             on_request=True,
         ),
@@ -239,6 +253,7 @@ MODALITIES: dict[str, Modality] = {
             derived=Derivation(
                 make="nimprep.derive.elevation:make_elevation",
                 describe="nimprep.derive.elevation:describe_elevation",
+                covers="depth or nothing",
             ),
             on_request=True,
         ),

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
+from nimprep.modality import MODALITIES
 
 if TYPE_CHECKING:
     from nimprep.store.reader import Store
@@ -59,12 +60,12 @@ def channel_sums(images: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.int64
     from nimprep.kernels.sums import color_sums, depth_sums
 
     sums = np.zeros(SUMS_SHAPE, dtype=np.int64)
-    if "rgb" in images:
-        color_sums(images["rgb"], False, sums[ROWS["rgb"]])
-    if "depth" in images:
-        depth_sums(images["depth"], sums[3])
-    if "hha" in images:
-        color_sums(images["hha"], True, sums[ROWS["hha"]])
+    for name in ROWS.keys() & images.keys():
+        rows, values = sums[ROWS[name]], MODALITIES[name].values
+        if values == "numbers":
+            depth_sums(images[name], rows[0])
+        else:
+            color_sums(images[name], values == "levels", rows)
     return sums
 
 
@@ -77,7 +78,7 @@ def combine_sums(sums: npt.NDArray[np.int64]) -> dict[str, ChannelStatistics]:
     total = sums.astype(object).sum(axis=0)
     statistics = {}
     for name, rows in ROWS.items():
-        unit = 1000 if name == "depth" else 1
+        unit = MODALITIES[name].steps
         if len(sums) == 0 or total[rows][0, 0] == 0:
             continue
         mean = tuple(int(s) / int(n) / unit for n, s, _ in total[rows])

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import DERIVED, recipe_from
 from nimprep.errors import NimprepError
-from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, ON_REQUEST, Frame
-from nimprep.modality import MODALITIES
+from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, Frame
+from nimprep.modality import Modality
 from nimprep.parallel import Progress, available_cores, map_in_order, no_progress
 from nimprep.store.frames import depth_from_millimetres, to_integers
 from nimprep.store.reader import Store
@@ -72,78 +72,69 @@ def _frame_problems(store: Store, number: int, *, recompute: bool) -> list[str]:
         images[name] = np.ascontiguousarray(image[:height, :width])
     if not np.array_equal(channel_sums(images), store.tables.channel_sums[number]):
         problems.append("channel_sums: expected the images' sums, found others")
-    if "label" in images:
-        problems += _label_problems(store, images["label"])
-    if "hha" in images and "depth" in images:
-        problems += _hha_problems(store, number, images)
-    if "normal" in images:
-        recipe = recipe_from(store.attributes["modalities"])
-        filled = recipe.fill != "none" and not recipe.store_filled
-        problems += _normal_problems(images["normal"], images.get("depth"), filled=filled)
-    problems += _plane_problems(store, images)
+    problems += _image_problems(store, number, images)
     if recompute and "depth" in images:
         problems += _recomputed_problems(store, number, images)
     return problems
 
 
-def _label_problems(store: Store, label: npt.NDArray[np.uint8]) -> list[str]:
-    known = [*(c.id for c in store.classes), IGNORE_LABEL]
-    values = np.flatnonzero(np.bincount(label.reshape(-1), minlength=256))
-    unknown = [int(v) for v in values if v not in known]
-    return [f"label: expected {known}, found {unknown}"] if unknown else []
-
-
-def _hha_problems(store: Store, number: int, images: dict[str, npt.NDArray[Any]]) -> list[str]:
-    gravity = store.tables.gravity[number]
-    # Squares of the largest numbers there are would be infinite.
-    if not (np.abs(gravity) < 2).all() or not np.isclose(np.linalg.norm(gravity), 1):
-        return [f"gravity: expected a unit vector beside HHA, found {gravity.tolist()}"]
-    some = images["hha"].any(axis=2)
-    # HHA of filled depth is there in its holes too.
-    wrong = int(((images["depth"] > 0) & ~some).sum())
-    return [f"hha: expected a value where depth is, found {wrong} pixels without"] if wrong else []
-
-
-def _normal_problems(
-    normal: npt.NDArray[Any], depth: npt.NDArray[np.uint16] | None, *, filled: bool
-) -> list[str]:
-    problems = []
-    square = np.einsum("hwc,hwc->hw", normal, normal, dtype=np.float64)
-    some = square > 0
-    scale = MODALITIES["normal"].as_dtype(str(normal.dtype)).steps
-    # Rounding moves each component by half a step at most, so the length by sqrt(3) / 2.
-    off = np.abs(np.sqrt(square) - scale) > np.sqrt(3) / 2 + 1e-6
-    if (off & some).any():
-        problems.append(f"normal: expected unit vectors, found {int((off & some).sum())} others")
-    if depth is not None:
-        # Normals of filled depth are there in its holes too.
-        wrong = (depth > 0) & ~some if filled else (depth > 0) != some
-        if wrong.any():
-            problems.append(
-                f"normal: expected one exactly where depth is, found {int(wrong.sum())} pixels "
-                "not so"
-            )
-    return problems
-
-
-def _plane_problems(store: Store, images: dict[str, npt.NDArray[Any]]) -> list[str]:
-    """Check that disparity and what is made of it are where depth is, or nowhere without a road."""
-    if "depth" not in images:
-        return []
+def _image_problems(store: Store, number: int, images: dict[str, npt.NDArray[Any]]) -> list[str]:
+    """Check each image by what its modality's record says."""
     recipe = recipe_from(store.attributes["modalities"])
     filled = recipe.fill != "none" and not recipe.store_filled
     problems = []
-    for name in ON_REQUEST:
-        if name not in images:
-            continue
-        some, depth = images[name] != MODALITIES[name].fill, images["depth"] > 0
-        wrong = depth & ~some if filled else depth != some
-        if wrong.any() and (name == "disparity" or some.any()):
-            problems.append(
-                f"{name}: expected a value exactly where depth is, "
-                f"found {int(wrong.sum())} pixels not so"
-            )
+    for name, image in images.items():
+        modality = store.arrays[name].modality
+        if modality.values == "classes":
+            problems += _class_problems(store, name, image)
+        if modality.values == "vectors":
+            problems += _vector_problems(modality, image)
+        if modality.derived is not None and "depth" in images:
+            if modality.derived.gravity:
+                problems += _gravity_problems(modality, store.tables.gravity[number])
+            problems += _cover_problems(modality, image, images["depth"] > 0, filled=filled)
     return problems
+
+
+def _class_problems(store: Store, name: str, image: npt.NDArray[np.uint8]) -> list[str]:
+    known = [*(c.id for c in store.classes), IGNORE_LABEL]
+    values = np.flatnonzero(np.bincount(image.reshape(-1), minlength=256))
+    unknown = [int(v) for v in values if v not in known]
+    return [f"{name}: expected {known}, found {unknown}"] if unknown else []
+
+
+def _vector_problems(modality: Modality, image: npt.NDArray[Any]) -> list[str]:
+    square = np.einsum("hwc,hwc->hw", image, image, dtype=np.float64)
+    # Rounding moves each component by half a step at most, so the length by sqrt(3) / 2.
+    off = np.abs(np.sqrt(square) - modality.steps) > np.sqrt(3) / 2 + 1e-6
+    wrong = int((off & (square > 0)).sum())
+    return [f"{modality.name}: expected unit vectors, found {wrong} others"] if wrong else []
+
+
+def _gravity_problems(modality: Modality, gravity: npt.NDArray[np.float64]) -> list[str]:
+    # Squares of the largest numbers there are would be infinite.
+    if (np.abs(gravity) < 2).all() and np.isclose(np.linalg.norm(gravity), 1):
+        return []
+    beside = modality.long_name
+    return [f"gravity: expected a unit vector beside {beside}, found {gravity.tolist()}"]
+
+
+def _cover_problems(
+    modality: Modality, image: npt.NDArray[Any], depth: npt.NDArray[np.bool_], *, filled: bool
+) -> list[str]:
+    """Check that there is some where depth is and, as far as the record says so, nowhere else."""
+    derived = modality.derived
+    covers = "depth" if derived is None else derived.covers
+    some = image != modality.fill
+    some = some.any(axis=2) if modality.channels else some
+    # What is made of filled depth is there in its holes too.
+    only = covers != "at least depth"
+    wrong = int(((depth != some) if only and not filled else (depth & ~some)).sum())
+    if wrong == 0 or (covers == "depth or nothing" and not some.any()):
+        return []
+    expected = "a value exactly where depth is" if only else "a value where depth is"
+    found = f"{wrong} pixels {'not so' if only else 'without'}"
+    return [f"{modality.name}: expected {expected}, found {found}"]
 
 
 def _recomputed_problems(
@@ -160,10 +151,10 @@ def _recomputed_problems(
         cam_to_road=store.cam_to_road(number),
     )
     missing = None
-    wanted = [name for name in images if name in DERIVED]
+    made = {name: store.arrays[name].modality.derived for name in images}
+    wanted = [name for name, derived in made.items() if derived is not None]
     if recipe.store_filled:
-        # Which pixels were filled is not stored, and HHA depends on it.
-        wanted = [name for name in wanted if name != "hha"]
+        wanted = [name for name, derived in made.items() if derived and not derived.masked]
     elif recipe.fill == "colorization" and frame.rgb is None:
         return []
     else:
@@ -183,7 +174,8 @@ def _recomputed_problems(
                 f"{name}: expected what {method!r} makes of the depth, "
                 f"found {int(apart.sum())} pixels apart"
             )
-    if "hha" in wanted and not np.allclose(derived.gravity, store.tables.gravity[number]):
+    estimated = not np.isnan(derived.gravity).any()
+    if estimated and not np.allclose(derived.gravity, store.tables.gravity[number]):
         problems.append(
             f"gravity: expected {derived.gravity}, found {store.tables.gravity[number]}"
         )
