@@ -19,7 +19,8 @@ from nimprep.errors import ArrayError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
 from nimprep.schema import load_schema
-from nimprep.store.spec import NORMAL_SCALES, TABLES, image_spec, stored_modalities
+from nimprep.store.spec import NORMAL_SCALES, image_spec, stored_modalities
+from nimprep.store.table_specs import TABLES
 
 SCHEMAS = Path(__file__).parent.parent / "schemas"
 
