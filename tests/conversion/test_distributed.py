@@ -1,16 +1,14 @@
 """Conversions on a real Dask cluster: a scheduler and two worker processes on loopback."""
 
-import contextlib
-import json
 import os
 import pickle
 import signal
 import socket
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -20,67 +18,37 @@ from nimprep.conversion import distributed as cluster_module
 from nimprep.conversion.job import Job
 from nimprep.errors import ClusterError, DecodeError
 from tests.fakes import contents, write_gmrp
+from tests.held import RECORD, held
+from tests.processes import PATIENCE_S, Processes
 
 distributed = pytest.importorskip("distributed")
+
+from tests.conversion.cluster import Cluster, wait_until  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
 FRAMES, LENGTH = 40, 2
 
 
-class Cluster:
-    """A scheduler and its workers, each a process with one thread."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._processes: list[subprocess.Popen[bytes]] = []
-        self.start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
-        file = folder / "scheduler.json"
-        wait_until(lambda: file.exists() and bool(file.read_bytes().strip().endswith(b"}")))
-        self.address = json.loads(file.read_text())["address"]
-
-    def start(self, what: str, *arguments: str) -> subprocess.Popen[bytes]:
-        file = str(self._folder / "scheduler.json")
-        command = [sys.executable, "-m", "dask", what, "--scheduler-file", file, *arguments]
-        with (self._folder / f"{what}-{len(self._processes)}.log").open("wb") as log:
-            process = subprocess.Popen(
-                [*command, "--no-dashboard"], stdout=log, stderr=log, cwd=self._folder
-            )
-        self._processes.append(process)
-        return process
-
-    def start_worker(self) -> subprocess.Popen[bytes]:
-        return self.start("worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1")
-
-    @contextlib.contextmanager
-    def client(self) -> Iterator["distributed.Client"]:
-        with distributed.Client(self.address, set_as_default=False) as client:
-            yield client
-
-    def close(self) -> None:
-        for process in self._processes:
-            process.kill()
-            process.wait()
-
-
-def wait_until(condition, seconds: float = 60) -> None:  # type: ignore[no-untyped-def]
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
-    try:
+    """Return a cluster of two workers; whatever a test does to it, two are left."""
+    with Processes() as processes:
+        cluster = Cluster(tmp_path_factory.mktemp("cluster"), processes)
         for _ in range(2):
             cluster.start_worker()
-        with cluster.client() as client:
-            client.wait_for_workers(2, timeout=60)
+        with cluster.client(workers=2):
+            pass
         yield cluster
-    finally:
-        cluster.close()
+
+
+@contextmanager
+def meanwhile(task: Callable[[], None]) -> Iterator[None]:
+    """Do something in a thread; what goes wrong there is an error at the end."""
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(task)
+        yield
+        future.result()
 
 
 @pytest.fixture(scope="module")
@@ -104,20 +72,35 @@ def test_the_bytes_are_those_of_a_conversion_without_a_cluster(
         frames.append(total)
         return lambda: frames.append(1)
 
-    store = nimprep.convert(
-        source,
-        tmp_path / "s.zarr",
-        shard_length=LENGTH,
-        scheduler=cluster.address,
-        progress=progress,
-    )
+    def openings() -> list[int]:
+        with cluster.client() as client:
+            found = client.run(lambda: cluster_module._opened.cache_info().misses)
+        return [found[address] for address in workers]
+
+    with cluster.client() as client:
+        workers = sorted(client.run(os.getpid))
+    before = openings()
+    with cluster.gate() as gate:
+
+        def let_both_begin() -> None:
+            try:
+                gate.wait_for(workers)
+            finally:
+                gate.open()
+
+        with meanwhile(let_both_begin):
+            store = nimprep.convert(
+                source,
+                tmp_path / "s.zarr",
+                shard_length=LENGTH,
+                scheduler=cluster.address,
+                progress=progress,
+            )
     assert contents(store.path) == local
     assert frames == [FRAMES] + FRAMES * [1]
-    with cluster.client() as client:
-        # Both took part, each opened the source once, and nothing is left there of it.
-        opened = client.run(lambda: cluster_module._opened.cache_info().misses)
-        assert list(opened.values()) == [1, 1]
-        assert client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)) == 0
+    # Each opened the source once, and nothing is left there of it.
+    assert [after - there for after, there in zip(openings(), before, strict=True)] == [1, 1]
+    wait_until(lambda: cluster.tasks() == 0)
 
 
 def test_a_relative_source_and_camera_file_are_found_by_workers_elsewhere(
@@ -133,37 +116,36 @@ def test_a_relative_source_and_camera_file_are_found_by_workers_elsewhere(
 
 
 def test_a_lost_workers_units_are_done_again(
-    cluster: Cluster, source: Path, local: dict[str, bytes], tmp_path: Path
+    cluster: Cluster,
+    source: Path,
+    local: dict[str, bytes],
+    tmp_path: Path,
+    processes: Processes,
 ) -> None:
-    lost: list[tuple[int, int]] = []
+    worker = cluster.start_worker(processes)
+    with cluster.client(workers=3) as client:
+        numbers = client.run(os.getpid)
+    [victim] = [address for address, number in numbers.items() if number == worker.pid]
+    tasks = []
+    with cluster.gate() as gate:
 
-    def progress(step: str, total: int):  # type: ignore[no-untyped-def]
-        def done() -> None:
-            if lost:
-                return
-            with cluster.client() as client:
-                tasks = client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
-                at_work = client.processing()
-                victim = max(at_work, key=lambda address: len(at_work[address]))
-                process = client.run(os.getpid, workers=[victim])[victim]
-            os.kill(process, signal.SIGKILL)
-            lost.append((tasks, len(at_work[victim])))
+        def kill_at_work() -> None:
+            try:
+                gate.wait_for(numbers)
+                tasks.append(cluster.tasks())
+                worker.kill()
+                worker.wait()
+            finally:
+                gate.open()
 
-        return done
-
-    store = nimprep.convert(
-        source,
-        tmp_path / "s.zarr",
-        shard_length=LENGTH,
-        scheduler=cluster.address,
-        progress=progress,
-    )
-    assert lost[0][0] <= 5, "more than the job and two units per thread"
-    assert lost[0][1] > 0, "the worker had nothing to do when it was killed"
+        with meanwhile(kill_at_work):
+            store = nimprep.convert(
+                source, tmp_path / "s.zarr", shard_length=LENGTH, scheduler=cluster.address
+            )
+    assert tasks[0] <= 7, "more than the job and two units per thread"
     assert contents(store.path) == local
-    cluster.start_worker()
     with cluster.client() as client:
-        client.wait_for_workers(2, timeout=60)
+        assert set(client.run(os.getpid)) == numbers.keys() - {victim}
 
 
 def test_a_bad_frame_ends_it_at_once_and_is_named(cluster: Cluster, tmp_path: Path) -> None:
@@ -185,23 +167,23 @@ def test_a_bad_frame_ends_it_at_once_and_is_named(cluster: Cluster, tmp_path: Pa
 
 
 def test_ctrl_c_drops_what_is_left_and_the_same_command_goes_on(
-    cluster: Cluster, source: Path, local: dict[str, bytes], tmp_path: Path
+    cluster: Cluster,
+    source: Path,
+    local: dict[str, bytes],
+    tmp_path: Path,
+    processes: Processes,
 ) -> None:
-    command = [sys.executable, "-m", "nimprep", "convert", str(source), str(tmp_path / "s.zarr")]
-    command += ["--shard-length", str(LENGTH), "--scheduler", cluster.address]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    units = tmp_path / ".s.zarr.partial" / "journal" / "units"
-    wait_until(lambda: list(units.glob("*.json")) or process.poll() is not None)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    options = ("--shard-length", LENGTH, "--scheduler", cluster.address)
+    with held(processes, RECORD, "convert", *options, source, tmp_path / "s.zarr") as process:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130, errors
     assert errors.startswith("interrupted; ")
     assert errors.endswith("frames are kept: the same command goes on from them\n")
     assert len(errors.splitlines()) == 1
-    with cluster.client() as client:
-        assert client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)) == 0
-    before = {path: path.stat().st_mtime_ns for path in units.iterdir()}
-    assert 0 < len(before) < FRAMES // LENGTH
+    wait_until(lambda: cluster.tasks() == 0)
+    units = tmp_path / ".s.zarr.partial" / "journal" / "units"
+    assert len(list(units.iterdir())) == 1
 
     def progress(step: str, total: int):  # type: ignore[no-untyped-def]
         assert step == "going on converting"
@@ -271,8 +253,11 @@ def test_a_file_system_that_fails_for_a_moment_is_tried_again(
 
     with cluster.client() as client:
         client.run(fail_once)
-        there = nimprep.convert(source, tmp_path / "there.zarr", scheduler=cluster.address)
-        assert not all(client.run(mend).values()), "no worker has failed"
+        try:
+            there = nimprep.convert(source, tmp_path / "there.zarr", scheduler=cluster.address)
+        finally:
+            mended = client.run(mend)
+        assert not all(mended.values()), "no worker has failed"
     here = nimprep.convert(source, tmp_path / "here.zarr")
     assert contents(there.path) == contents(here.path)
 
@@ -305,10 +290,10 @@ def test_a_task_that_outlives_its_conversion_does_not_write_into_the_next(
 
 
 def test_a_cluster_without_workers_or_gone_is_one_clear_error(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: Path, tmp_path: Path, processes: Processes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_module, "LOOK_S", 0.2)
-    lonely = Cluster(tmp_path)
+    lonely = Cluster(tmp_path, processes)
     with monkeypatch.context() as patch:
         patch.setattr(cluster_module, "PATIENCE_S", 0)
         with (
@@ -316,15 +301,17 @@ def test_a_cluster_without_workers_or_gone_is_one_clear_error(
             pytest.raises(ClusterError, match="expected workers, found none for 0 s"),
         ):
             nimprep.convert(source, tmp_path / "s.zarr", scheduler=lonely.address)
-    try:
-        threading.Timer(1, lonely.close).start()
-        with (
-            pytest.warns(UserWarning, match="no workers, waiting 300 s for some"),
-            pytest.raises(ClusterError, match="found the connection lost"),
-        ):
-            nimprep.convert(source, tmp_path / "s.zarr", scheduler=lonely.address)
-    finally:
-        lonely.close()
+    said = []
+
+    def lose(message: str, **named: object) -> None:
+        said.append(message)
+        lonely.scheduler.kill()
+
+    monkeypatch.setattr(cluster_module.warnings, "warn", lose)
+    with pytest.raises(ClusterError, match="found the connection lost"):
+        nimprep.convert(source, tmp_path / "s.zarr", scheduler=lonely.address)
+    assert len(said) == 1
+    assert "no workers, waiting 300 s for some" in said[0]
 
 
 def test_a_unit_that_every_worker_is_lost_at_is_named() -> None:
