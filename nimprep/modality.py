@@ -31,6 +31,17 @@ Resize = Literal["linear", "linear where some", "unit vectors", "nearest", "near
 """
 
 
+Picture = Literal["as stored", "near and far", "low and high", "directions", "classes"]
+"""How people are shown it::
+
+    as stored      its channels as red, green and blue
+    near and far   distances on a scale of ratios: near is yellow, far is dark, none grey
+    low and high   numbers on a scale of differences: high is yellow, low is dark, none grey
+    directions     right is red, up green, towards the camera blue, none grey
+    classes        the photograph, tinted in the classes' colours
+"""
+
+
 @dataclass(frozen=True)
 class Derivation:
     """Say how a modality is made from others.
@@ -92,6 +103,13 @@ class Modality:
         What becomes of it when the frame is mirrored left to right.
     divisor : float
         Tensors are divided by this, in `units`, for networks to start from; vectors never are.
+    picture : Picture
+        How people are shown it.
+    title, about : str
+        A heading for its pictures, and what they show, for those who cannot see them; "" = the
+        name, and `long_name` with the key to its colours.
+    key : tuple of str
+        What red, green and blue of its pictures stand for; empty = that needs no words.
     fillable : bool
         Whether its holes can be filled before others are made from it.
     attribute : str
@@ -116,6 +134,10 @@ class Modality:
     resize: Resize = "nearest"
     flip: Literal["mirror", "mirror and negate x"] = "mirror"
     divisor: float = 1
+    picture: Picture = "low and high"
+    title: str = ""
+    about: str = ""
+    key: tuple[str, ...] = ()
     fillable: bool = False
     attribute: str = ""
     derived: Derivation | None = None
@@ -158,6 +180,9 @@ MODALITIES: dict[str, Modality] = {
             channels=("red", "green", "blue"),
             resize="linear",
             divisor=255,
+            picture="as stored",
+            title="Colour",
+            about="photograph",
         ),
         Modality(
             name="depth",
@@ -169,6 +194,8 @@ MODALITIES: dict[str, Modality] = {
             beyond="none",
             # About the range of the D415 that GMRP was taken with.
             divisor=10,
+            picture="near and far",
+            about="depth, near is yellow, far is dark, grey has none",
             fillable=True,
             attribute="depth_m",
         ),
@@ -184,6 +211,9 @@ MODALITIES: dict[str, Modality] = {
             steps=127,
             resize="unit vectors",
             flip="mirror and negate x",
+            picture="directions",
+            title="Normals",
+            about="surface normals: red to the right, green up, blue towards the camera",
             derived=Derivation(
                 make="nimprep.derive.normals:make_normals",
                 describe="nimprep.derive.normals:describe_normals",
@@ -196,6 +226,14 @@ MODALITIES: dict[str, Modality] = {
             channels=("horizontal disparity", "height above ground", "angle with gravity"),
             resize="linear where some",
             divisor=255,
+            picture="as stored",
+            title="HHA",
+            about="HHA: red horizontal disparity, green height, blue angle with gravity",
+            key=(
+                "horizontal disparity: near is more",
+                "height above ground",
+                "angle with gravity",
+            ),
             derived=Derivation(
                 make="nimprep.derive.hha:make_hha",
                 describe="nimprep.derive.hha:describe_hha",
@@ -262,6 +300,9 @@ MODALITIES: dict[str, Modality] = {
             values="classes",
             long_name="class",
             fill=255,
+            picture="classes",
+            title="Labels",
+            about="label overlay on the photograph",
         ),
     )
 }

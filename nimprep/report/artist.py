@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.report.collect import KNOWN, Collected, physical
+from nimprep.modality import Modality
+from nimprep.report.collect import Collected, physical
 from nimprep.report.depth_charts import depth_quantiles
 from nimprep.report.pictures import (
     ColorScale,
@@ -18,23 +19,8 @@ from nimprep.report.pictures import (
     normal_picture,
     shrink,
 )
-from nimprep.store.frames import depth_from_millimetres
+from nimprep.store.frames import from_integers
 from nimprep.store.reader import Store
-
-_TITLES = {
-    "rgb": "Colour",
-    "depth": "Depth",
-    "normal": "Normals",
-    "hha": "HHA",
-    "label": "Labels",
-}
-_ABOUT = {
-    "rgb": "photograph",
-    "depth": "depth, near is yellow, far is dark, grey has none",
-    "normal": "surface normals: red to the right, green up, blue towards the camera",
-    "hha": "HHA: red horizontal disparity, green height, blue angle with gravity",
-    "label": "label overlay on the photograph",
-}
 
 
 @dataclass(frozen=True)
@@ -43,8 +29,7 @@ class Look:
 
     Attributes
     ----------
-    name : str
-        The modality.
+    modality : Modality
     title : str
         For a heading.
     about : str
@@ -53,7 +38,7 @@ class Look:
         Of values, where one number has one colour.
     """
 
-    name: str
+    modality: Modality
     title: str
     about: str
     scale: ColorScale | None = None
@@ -99,17 +84,20 @@ class Artist:
     def _draw(self, frame: int, name: str, step: int) -> Picture:
         look = self.looks[name]
         image = self._stored(frame, name, step)
-        if name == "depth" and look.scale is not None:
-            return depth_picture(depth_from_millimetres(image), look.scale)
-        if name == "normal":
-            return normal_picture(_unit(image))
-        if name == "label":
-            rgb = self._stored(frame, "rgb", step) if "rgb" in self.looks else None
-            return label_picture(image, self.store.classes, rgb)
-        if look.scale is not None:
-            values = physical(self.store, name, image)
-            return look.scale.paint(values, np.isfinite(values))
-        return image
+        match look.modality.picture:
+            case "as stored":
+                return image
+            case "directions":
+                return normal_picture(_unit(image))
+            case "classes":
+                rgb = self._stored(frame, "rgb", step) if "rgb" in self.looks else None
+                return label_picture(image, self.store.classes, rgb)
+        if look.scale is None:
+            return image
+        if look.modality.picture == "near and far":
+            return depth_picture(from_integers(look.modality, image), look.scale)
+        values = physical(self.store, name, image)
+        return look.scale.paint(values, np.isfinite(values))
 
     def _stored(self, frame: int, name: str, step: int) -> npt.NDArray[Any]:
         height, width = (int(n) for n in self.store.tables.image_size[frame])
@@ -125,27 +113,35 @@ def _unit(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 
 def _look(store: Store, facts: Collected, name: str) -> Look:
-    if name == "depth":
-        return Look(name, _TITLES[name], _ABOUT[name], _depth_scale(facts))
-    if name in KNOWN:
-        return Look(name, _TITLES[name], _ABOUT[name])
-    title = name.replace("_", " ").replace("-", " ").capitalize()
-    array = store.arrays[name]
-    about = str(array.spec.attributes.get("long_name", name))
-    if len(array.shape) > 3:
-        return Look(name, title, about)
-    known = facts.pooled[name][np.isfinite(facts.pooled[name])]
-    low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
-    low, high = (low, high) if low < high else (low - 0.5, low + 0.5)
-    unit = str(array.spec.attributes.get("units", ""))
-    scale = ColorScale(float(low), float(high), "" if unit == "1" else unit)
-    return Look(name, title, f"{about}, yellow is high, grey has none", scale)
+    modality = store.arrays[name].modality
+    title = modality.title or name.replace("_", " ").capitalize()
+    about = modality.about or modality.long_name
+    if modality.picture not in _SCALED or modality.channels:
+        return Look(modality, title, about)
+    return Look(
+        modality,
+        title,
+        modality.about or f"{about}, {_SCALED[modality.picture]}, grey has none",
+        _scale(modality, facts),
+    )
 
 
-def _depth_scale(facts: Collected) -> ColorScale:
-    """Return the scale from the depth that 1 % are nearer than to the one 1 % are beyond."""
-    low, high = depth_quantiles(facts, (0.01, 0.99))
-    if not low < high:
+_SCALED = {"near and far": "near is yellow, far is dark", "low and high": "yellow is high"}
+
+
+def _scale(modality: Modality, facts: Collected) -> ColorScale:
+    """Return the scale from the number that 1 % are below to the one that 1 % are above."""
+    unit = "" if modality.units == "1" else modality.units
+    if modality.name in facts.pooled:
+        values = facts.pooled[modality.name]
+        known = values[np.isfinite(values)]
+        low, high = (float(x) for x in np.percentile(known, [1, 99])) if known.size else (0.0, 1.0)
+    else:
+        low, high = depth_quantiles(facts, (0.01, 0.99))
+    if modality.picture == "low and high":
+        low, high = (low, high) if low < high else (low - 0.5, low + 0.5)
+        return ColorScale(low, high, unit)
+    if not 0 < low < high:
         middle = low if low > 0 else 1.0
         low, high = middle / 2, middle * 2
-    return ColorScale(low, high, "m", reverse=True, log=True)
+    return ColorScale(low, high, unit, reverse=True, log=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,7 +33,6 @@ POOLED = 256
 _BLOCK = 16
 _DEPTH_LEVELS = 1 << 16
 _LEVELS = 256
-KNOWN = ("rgb", "depth", "normal", "hha", "label")
 
 
 @dataclass(eq=False)
@@ -154,7 +153,7 @@ def collect(
         pooled={
             name: np.full((number, POOLED), np.nan, np.float32)
             for name in store.modalities
-            if name not in KNOWN
+            if name not in _COUNTS
         },
     )
     done = (progress or no_progress)("looking", number)
@@ -175,25 +174,10 @@ def collect(
 def _add_frame(store: Store, frame: int, found: Collected, part: Sums) -> None:
     """Count one frame into its rows of `found` and into `part`."""
     height, width = (int(n) for n in store.tables.image_size[frame])
-    every = slice(None, None, found.step)
-    for name in store.modalities:
-        image = store.arrays[name].read(frame)[:height, :width]
-        if name == "rgb":
-            found.hashes[frame] = difference_hash(image[every, every])
-        elif name == "depth":
-            _count_depth(image, frame, found)
-            sample = image[every, every]
-            split = _split_row(int(store.tables.split[frame]))
-            part.depth[split] += np.bincount(sample.ravel(), minlength=_DEPTH_LEVELS)
-            rows, columns = sample.shape
-            part.holes[:rows, :columns] += sample == 0
-            part.seen[:rows, :columns] += 1
-        elif name == "normal":
-            _count_directions(image[every, every], part)
-        elif name == "hha":
-            _count_hha(image[every, every], part)
-        elif name == "label":
-            _count_labels(image, frame, found, [c.id for c in store.classes])
+    for name, array in store.arrays.items():
+        image = array.read(frame)[:height, :width]
+        if name in _COUNTS:
+            _COUNTS[name](image, store, frame, found, part)
         else:
             values = _spread(image, POOLED)
             found.pooled[name][frame, : values.size] = physical(store, name, values)
@@ -205,19 +189,34 @@ def _split_row(code: int) -> int:
     return codes.index(code) if code in codes else len(codes) - 1
 
 
-def _count_depth(image: npt.NDArray[np.uint16], frame: int, found: Collected) -> None:
+def _count_colors(
+    image: npt.NDArray[np.uint8], store: Store, frame: int, found: Collected, part: Sums
+) -> None:
+    found.hashes[frame] = difference_hash(image[:: found.step, :: found.step])
+
+
+def _count_depth(
+    image: npt.NDArray[np.uint16], store: Store, frame: int, found: Collected, part: Sums
+) -> None:
     found.valid[frame] = np.count_nonzero(image)
     farthest = image.max()
     found.farthest_mm[frame] = farthest
     if farthest:
         found.at_farthest[frame] = np.count_nonzero(image == farthest)
+    sample = image[:: found.step, :: found.step]
+    split = _split_row(int(store.tables.split[frame]))
+    part.depth[split] += np.bincount(sample.ravel(), minlength=_DEPTH_LEVELS)
+    rows, columns = sample.shape
+    part.holes[:rows, :columns] += sample == 0
+    part.seen[:rows, :columns] += 1
 
 
 def _count_labels(
-    image: npt.NDArray[np.uint8], frame: int, found: Collected, ids: Sequence[int]
+    image: npt.NDArray[np.uint8], store: Store, frame: int, found: Collected, part: Sums
 ) -> None:
+    ids = [c.id for c in store.classes]
     counts = byte_histogram(image)
-    found.classes[frame] = counts[list(ids)]
+    found.classes[frame] = counts[ids]
     found.ignored[frame] = counts[IGNORE_LABEL]
     found.undeclared[frame] = image.size - counts[list({*ids, IGNORE_LABEL})].sum()
 
@@ -260,6 +259,28 @@ def _count_hha(hha: npt.NDArray[np.uint8], part: Sums) -> None:
     known = (channels[0] | channels[1] | channels[2]) > 0
     for channel, values in enumerate(channels):
         part.hha[channel] += np.bincount(values[known], minlength=_LEVELS)
+
+
+def _count_normals(
+    image: npt.NDArray[Any], store: Store, frame: int, found: Collected, part: Sums
+) -> None:
+    _count_directions(image[:: found.step, :: found.step], part)
+
+
+def _count_levels(
+    image: npt.NDArray[np.uint8], store: Store, frame: int, found: Collected, part: Sums
+) -> None:
+    _count_hha(image[:: found.step, :: found.step], part)
+
+
+_COUNTS: dict[str, Callable[[npt.NDArray[Any], Store, int, Collected, Sums], None]] = {
+    "rgb": _count_colors,
+    "depth": _count_depth,
+    "normal": _count_normals,
+    "hha": _count_levels,
+    "label": _count_labels,
+}
+"""What is counted of modalities with charts or findings of their own; the others are pooled."""
 
 
 def _spread(image: npt.NDArray[Any], number: int) -> npt.NDArray[Any]:

@@ -186,8 +186,10 @@ def legends(store: Store, artist: Artist) -> list[dict[str, Any]]:
 
 
 def _legend(store: Store, look: Look) -> dict[str, Any]:
-    legend: dict[str, Any] = {"name": look.name, "title": look.title, "about": look.about}
-    legend |= {"scale": None, "sphere": None, "classes": None}
+    modality = look.modality
+    legend: dict[str, Any] = {"name": modality.name, "title": look.title, "about": look.about}
+    legend |= {"scale": None, "sphere": None, "classes": None, "channels": modality.key}
+    legend["plain"] = modality.values == "colors"
     if look.scale is not None:
         ticks = look.scale.ticks()
         places = look.scale.place(ticks)
@@ -198,9 +200,9 @@ def _legend(store: Store, look: Look) -> dict[str, Any]:
                 {"at": float(p), "text": f"{t:g}"} for t, p in zip(ticks, places, strict=True)
             ],
         }
-    if look.name == "normal":
+    if modality.picture == "directions":
         legend["sphere"] = data_uri(encode_picture(normal_sphere(), "png"), "png")
-    if look.name == "label":
+    if modality.picture == "classes":
         legend["classes"] = [
             {"id": c.id, "name": c.name, "color": css_color(c.color)} for c in store.classes
         ]
@@ -242,8 +244,11 @@ def gallery_data(
         "height": sizes[:, 0].tolist(),
         "width": sizes[:, 1].tolist(),
         "looks": [
-            {"name": k.name, "title": k.title, "about": k.about} for k in artist.looks.values()
+            {"name": name, "title": look.title, "about": look.about}
+            for name, look in artist.looks.items()
         ],
+        # The look to see holes in.
+        "depth": list(artist.looks).index("depth") if "depth" in artist.looks else 0,
         "findings": [{"title": f.title, "frames": list(f.frames)} for f in findings],
         "shown": list(range(len(store))) if shown is None else sorted(shown),
     }

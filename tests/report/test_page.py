@@ -17,6 +17,7 @@ from click.testing import CliRunner, Result
 import nimprep
 from nimprep.cli import main
 from nimprep.errors import LayoutError, NimprepError, StoreError
+from nimprep.modality import Modality
 from nimprep.report import gallery as gallery_module
 from nimprep.report import page as page_module
 from nimprep.report.artist import Artist
@@ -286,6 +287,7 @@ class Plane:
 
     def __init__(self, dtype: str, unit: str, values: tuple[int, ...] = (24, 32)) -> None:
         self.dtype, self.shape, self.shard_length = np.dtype(dtype), (3, *values), 32
+        self.modality = Modality("surface_warmth", "numbers", "warmth", unit, dtype=dtype, fill=-9)
         attributes = {"units": unit, "scale_factor": 0.5, "_FillValue": -9, "long_name": "warmth"}
         self.spec = ArraySpec(("frame", "y", "x"), dtype, 0, attributes)
 

@@ -222,6 +222,6 @@
   });
   byId("compare").addEventListener("pointermove", (event) => { if (event.buttons) drag(event); });
 
-  nimprep.pick["chart-holes"] = (frame) => open(frame, Math.max(0, looks.findIndex((look) => look.name === "depth")));
+  nimprep.pick["chart-holes"] = (frame) => open(frame, data.depth);
   update();
 })();
