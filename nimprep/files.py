@@ -11,12 +11,21 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 from nimprep.errors import DecodeError, LayoutError, NimprepError
-from nimprep.folders import hidden_name, made, place_of, refuse_inside, sync_file, sync_folder, told
+from nimprep.folders import (
+    adopt,
+    hidden_name,
+    made,
+    place_of,
+    refuse_inside,
+    sync_file,
+    sync_folder,
+    told,
+)
 
 _DONT_WAIT = getattr(os, "O_NONBLOCK", 0)
 _PIECE = 1 << 16
@@ -180,17 +189,6 @@ def replace_file(
         _write(partial, data)
         _settle(partial, _state(path))
         partial.replace(path)
-
-
-def adopt(path: Path, before: os.stat_result) -> None:
-    """Give a file or folder the owner, where that is allowed, and the mode of what it replaces."""
-    now = path.stat()
-    if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
-        with suppress(OSError, AttributeError):
-            os.chown(path, before.st_uid, before.st_gid)
-    if stat.S_IMODE(now.st_mode) != stat.S_IMODE(before.st_mode):
-        with suppress(OSError):
-            path.chmod(stat.S_IMODE(before.st_mode))
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -163,6 +164,99 @@ def told(out: Path, error: type[NimprepError]) -> Iterator[None]:
     except (OSError, ValueError) as caught:
         reason = getattr(caught, "strerror", None) or caught
         raise error(f"{out}: expected to write it, found {reason}") from caught
+
+
+def link_tree(path: Path, other: Path, error: type[NimprepError] = LayoutError) -> None:
+    """Give a file, or all that is in a folder, a second name; links stay links.
+
+    Raises
+    ------
+    NimprepError
+        Of the class given: it cannot be written.
+    """
+    with told(other, error):
+        if path.is_symlink():
+            other.parent.mkdir(parents=True, exist_ok=True)
+            other.symlink_to(path.readlink())
+        elif path.is_dir():
+            other.mkdir(parents=True)
+            for inner in path.iterdir():
+                link_tree(inner, other / inner.name, error)
+            shutil.copystat(path, other)
+            adopt(other, path.stat())
+        else:
+            link_or_copy(path, other, error)
+
+
+def link_or_copy(path: Path, other: Path, error: type[NimprepError] = LayoutError) -> None:
+    """Give a file a second name; where the file system has none to give, copy it, times and all.
+
+    Errors are those of `link_tree`.
+    """
+    with told(other, error):
+        other.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            other.hardlink_to(path)
+        except OSError:
+            if not path.is_file():
+                raise  # a pipe would be waited for
+            shutil.copy2(path, other)
+            adopt(other, path.stat())
+
+
+def adopt(path: Path, before: os.stat_result, least: int = 0) -> None:
+    """Give a file or folder the owner, where that is allowed, and the mode of what it replaces.
+
+    Parameters
+    ----------
+    least : int
+        Bits of the mode that it has in any case.
+    """
+    now = path.stat()
+    if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+        with suppress(OSError, AttributeError):
+            os.chown(path, before.st_uid, before.st_gid)
+    mode = stat.S_IMODE(before.st_mode) | least
+    if stat.S_IMODE(path.stat().st_mode) != mode:
+        with suppress(OSError):
+            path.chmod(mode)
+
+
+def adopt_tree(folder: Path, before: Path) -> None:
+    """Give a folder, and all in it, owners and modes as in the folder that it is to replace.
+
+    What has no counterpart there gets the folder's own owner. Folders can be written by their
+    owner in any case, so that they can be moved and removed.
+    """
+    home = before.stat()
+    foreign = os.name == "posix" and (home.st_uid, home.st_gid) != (os.getuid(), os.getgid())
+    for path, _, names in os.walk(folder):
+        for place in (Path(path), *(Path(path, name) for name in names)):
+            if place.is_symlink():
+                continue
+            least = stat.S_IRWXU if place.is_dir() else 0
+            other = before / place.relative_to(folder)
+            if other.exists() and other.is_dir() == place.is_dir():
+                adopt(place, other.stat(), least)
+            elif foreign:
+                with suppress(OSError):
+                    os.chown(place, home.st_uid, home.st_gid)
+
+
+def refuse_within(folder: Path, error: type[NimprepError] = LayoutError) -> None:
+    """Raise `error` where this process works in a folder that is about to be replaced.
+
+    It, and the shell that it was called from, would be left in one that is gone.
+    """
+    try:
+        here = Path.cwd()
+    except FileNotFoundError:
+        return  # gone already
+    if here.is_relative_to(os.path.realpath(folder)):
+        raise error(
+            f"{folder}: expected to be called from outside of the folder that is replaced, found "
+            f"the working directory {here}; change to another first"
+        )
 
 
 def sync_tree(folder: Path) -> None:

@@ -41,6 +41,7 @@ from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import open_reader
 from nimprep.readers.subset import SubsetReader
 from nimprep.splits import SPLITS, extend_splits
+from nimprep.store.extras import carry_over, check_growable
 from nimprep.store.metadata import read_attributes
 from nimprep.store.reader import Store, open_store
 from nimprep.store.seal import MEND
@@ -227,6 +228,7 @@ class _Append:
             counts += depth_counts(self._store, self._workers, before)
         writer = StoreWriter(self._workspace.joined, layout)
         writer.finish(self._tables(checksums), self._attributes(depth_percentiles(counts)))
+        carry_over(path, self._workspace.joined.root)
         self._workspace.publish(self._workspace.joined)
         return self._appended(open_store(path))
 
@@ -238,6 +240,7 @@ class _Append:
                 f"{min(self._existing)!r} ({len(self._existing)} of {len(self.reader.ids)} are); "
                 "--skip-existing leaves those as they are"
             )
+        check_growable(Path(self._store.path))
         check_frames(self._store, self.reader, new)
         self._splits(new, {i: self.reader.group(i) for i in new})
 

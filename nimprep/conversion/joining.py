@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
@@ -14,6 +13,7 @@ import numpy.typing as npt
 
 from nimprep.conversion.records import DEPTHS, UnitRecord
 from nimprep.errors import StoreError
+from nimprep.folders import link_or_copy
 from nimprep.store.reader import Store
 from nimprep.store.seal import MEND, chunk_checksum
 from nimprep.store.shards import encode_chunk, read_checksums, read_index, split_shard
@@ -156,7 +156,7 @@ def join_shards(
                 checksums = [chunk_checksum(chunk) for chunk in some]
             else:
                 key = writer.shard_key(modality, number)
-                link_or_copy(path, Path(str(writer.storage)) / key)
+                link_or_copy(path, Path(str(writer.storage)) / key, StoreError)
                 checksums = _checksums_of(writer, key, len(frames))
             found[frames.start : frames.stop, column] = checksums
         for _ in frames:
@@ -176,24 +176,6 @@ def _checksums_of(writer: StoreWriter, key: str, frames: int) -> list[int]:
             f"{MEND}"
         )
     return there
-
-
-def link_or_copy(path: Path, other: Path) -> None:
-    """Give a file a second name; where the file system has none to give, copy it, times and all.
-
-    Raises
-    ------
-    StoreError
-        Neither can be done.
-    """
-    try:
-        other.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            other.hardlink_to(path)
-        except OSError:
-            shutil.copy2(path, other)
-    except OSError as error:
-        raise StoreError(f"{other}: expected room to write, found {error.strerror}") from error
 
 
 def depth_counts(store: Store, workers: int, done: Callable[[], None]) -> npt.NDArray[np.int64]:

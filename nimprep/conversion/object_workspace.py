@@ -4,7 +4,7 @@ The store's keys are written in their final place, and the journal and the lock 
 beside it: s3://bucket/.out.zarr.partial for s3://bucket/out.zarr. The root says that the store is
 not complete until everything else is there, so that nobody reads half of one. A store that is
 replaced is lost from the first write on: its root is marked as not complete, its other keys go, and
-then the new ones come.
+then the new ones come. Keys that are not nimprep's stay; where there are any, nothing is replaced.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from nimprep.conversion.object_lock import ObjectLock
 from nimprep.conversion.workspace import Workspace, open_workspace
 from nimprep.errors import StoreError
 from nimprep.store.connection import RequestError
+from nimprep.store.extras import check_replaceable, is_own, own_arrays
 from nimprep.store.metadata import ROOT, read_attributes, read_document
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage
@@ -57,14 +58,18 @@ class ObjectWorkspace:
             self._empty()
 
     def _empty(self) -> None:
-        """Remove the store's keys; until the last its root says that it is not complete."""
-        data = self.store.read(ROOT)
-        if data is not None:
-            root = read_document(self.store, ROOT)
-            root["attributes"]["nimprep"]["complete"] = False
-            self.store.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
-        self.store.remove_all(but=ROOT)
-        self.store.remove(ROOT)
+        """Remove the store's own keys; until the last its root says that it is not complete."""
+        if self.store.read(ROOT) is None:
+            return
+        root = read_document(self.store, ROOT)
+        attributes = root["attributes"]["nimprep"]
+        attributes["complete"] = False
+        self.store.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
+        arrays = own_arrays(attributes)
+        there = self.store.keys()
+        keys = [key for key in there if is_own(key, arrays)]
+        self.store.remove_each([key for key in keys if key != ROOT])
+        self.store.remove_each([ROOT])
 
     def publish(self) -> None:
         """Remove the journal: the store has its name already, and is complete."""
@@ -117,6 +122,7 @@ def open_object_workspace(target: ObjectStorage, *, overwrite: bool) -> Iterator
                     f"{target}: expected a free name for the store, found a complete store; "
                     "use --overwrite to replace it"
                 )
+            check_replaceable(target)
         try:
             yield workspace
         except RequestError:

@@ -13,7 +13,8 @@ from filelock import FileLock, Timeout
 
 from nimprep.errors import StoreError
 from nimprep.files import replace_file
-from nimprep.folders import sync_tree
+from nimprep.folders import place_of, sync_tree
+from nimprep.store.extras import discard
 from nimprep.store.metadata import ROOT
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import OLD, check_target, move_into_place, put_back
@@ -68,7 +69,7 @@ class LocalWorkspace:
     """
 
     def __init__(self, target: Path, *, overwrite: bool, task: str = "") -> None:
-        self.target = target.absolute()
+        self.target = place_of(target)
         self.folder = self.target.with_name(f".{self.target.name}.partial")
         self.place = self.folder / task
         self.store = LocalStorage(self.place / "store")
@@ -76,6 +77,7 @@ class LocalWorkspace:
         self.journal = LocalStorage(self.place / "journal")
         self.published = False
         self._overwrite = overwrite
+        self._grows = task == "append"
 
     def clear(self) -> None:
         """Remove what an earlier conversion left here."""
@@ -90,7 +92,7 @@ class LocalWorkspace:
         # Two folders may change names at once; the note tells afterwards which is which.
         note = f"{storage.root.name} {_root_digest(storage.root)}"
         replace_file(self.place / _NOTE, note.encode(), StoreError)
-        move_into_place(storage.root, self.target, overwrite=self._overwrite)
+        move_into_place(storage.root, self.target, overwrite=self._overwrite, grows=self._grows)
         shutil.rmtree(self.place, ignore_errors=True)
 
     def recover(self) -> None:
@@ -104,9 +106,9 @@ class LocalWorkspace:
         put_back(root, self.target)
         if note.parent == self.place:
             self.published = _root_digest(self.target) == digest
-        shutil.rmtree(root.with_suffix(OLD), ignore_errors=True)
+        discard(root.with_suffix(OLD), self.target)
         if _root_digest(root) != digest:
-            shutil.rmtree(root, ignore_errors=True)
+            discard(root, self.target)
         note.unlink()
 
     def leave(self) -> None:
@@ -138,7 +140,7 @@ def open_workspace(target: Path, *, overwrite: bool, task: str = "") -> Iterator
     StoreError
         Another process converts into the target, it must not be replaced, or cannot be written.
     """
-    check_target(target, overwrite=overwrite)
+    check_target(target, overwrite=overwrite, grows=task == "append")
     workspace = LocalWorkspace(target, overwrite=overwrite, task=task)
     lock = FileLock(workspace.folder / "lock")
     try:
@@ -157,7 +159,7 @@ def open_workspace(target: Path, *, overwrite: bool, task: str = "") -> Iterator
         )
     try:
         workspace.recover()
-        check_target(target, overwrite=overwrite)
+        check_target(target, overwrite=overwrite, grows=task == "append")
         workspace.store.remove_partial()
         yield workspace
     finally:

@@ -226,10 +226,10 @@ class ObjectStorage:
         self._begin_writing()
         self._delete([*([key] if key else []), *self.keys(key)])
 
-    def remove_all(self, but: str) -> None:
-        """Delete every object here but one."""
+    def remove_each(self, keys: Sequence[str]) -> None:
+        """Delete objects, and none below them."""
         self._begin_writing()
-        self._delete([key for key in self.keys() if key != but])
+        self._delete(keys)
 
     @requesting
     def _delete(self, keys: Sequence[str]) -> None:

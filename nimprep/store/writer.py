@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,16 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
-from nimprep.folders import refuse_inside, sync_folder
+from nimprep.folders import adopt, adopt_tree, place_of, refuse_inside, refuse_within, sync_folder
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
 from nimprep.store.exchange import exchange
+from nimprep.store.extras import check_replaceable, discard
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, read_attributes
 from nimprep.store.seal import sealed
 from nimprep.store.shards import encode_shard
 from nimprep.store.spec import ArraySpec, ChunkCodec, chunk_codec, image_spec
-from nimprep.store.storage import Storage
+from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.table_specs import table_key, table_specs
 
 if TYPE_CHECKING:
@@ -74,11 +74,16 @@ class StoreLayout:
         return MODALITIES[modality].image_shape(self.height, self.width)
 
 
-def check_target(target: Path, *, overwrite: bool) -> None:
+def check_target(target: Path, *, overwrite: bool, grows: bool = False) -> None:
     """Make sure that a store may be written to `target`.
 
     A store cut short may be replaced without asking; a complete one only where `overwrite` says
-    so; a folder of anything else never.
+    so; a folder of anything else never, nor a store with something in it that is not nimprep's.
+
+    Parameters
+    ----------
+    grows : bool
+        What is written has all that is there in it: then that is no matter.
 
     Raises
     ------
@@ -93,6 +98,8 @@ def check_target(target: Path, *, overwrite: bool) -> None:
         raise StoreError(f"{target}: expected a writable place, found {error.strerror}") from error
     if taken:
         raise StoreError(f"{target}: expected a free name for the store, found a file or link")
+    if target.is_dir():
+        refuse_within(target, StoreError)
     if not filled:
         return
     try:
@@ -107,14 +114,18 @@ def check_target(target: Path, *, overwrite: bool) -> None:
             f"{target}: expected a free name for the store, found a complete store; "
             "use --overwrite to replace it"
         )
+    if not grows:
+        check_replaceable(LocalStorage(target))
 
 
 OLD = ".old"
 """The suffix, in the place a store is moved from, of the one that it replaces meanwhile."""
 
 
-def move_into_place(partial: Path, target: Path, *, overwrite: bool) -> None:
-    """Give a finished store its name; what it replaces goes only afterwards.
+def move_into_place(partial: Path, target: Path, *, overwrite: bool, grows: bool = False) -> None:
+    """Give a finished store its name, and the owner and mode of what it replaces.
+
+    That goes only afterwards; `overwrite` and `grows` are as for `check_target`.
 
     Killed at any moment, it leaves at the target the one store or the other, whole. Where folders
     cannot change names at once, there is a moment without either: `put_back` helps then.
@@ -124,10 +135,13 @@ def move_into_place(partial: Path, target: Path, *, overwrite: bool) -> None:
     StoreError
         Something has come there since that must stay, or it cannot be moved.
     """
-    target = target.absolute()
-    check_target(target, overwrite=overwrite)
+    target = place_of(target)
+    check_target(target, overwrite=overwrite, grows=grows)
     old = None
     try:
+        before = target.stat() if target.is_dir() else None
+        if before is not None:
+            adopt_tree(partial, target)
         if target.is_dir() and any(target.iterdir()):
             if exchange(partial, target):
                 old = partial
@@ -141,11 +155,11 @@ def move_into_place(partial: Path, target: Path, *, overwrite: bool) -> None:
                     raise
         else:
             partial.replace(target)
+        if before is not None:
+            adopt(target, before)
         sync_folder(target.parent)
         if old is not None:
-            # First of all, so that what a kill leaves of it is never taken for a store.
-            (old / ROOT).unlink(missing_ok=True)
-            shutil.rmtree(old, ignore_errors=True)
+            discard(old, target)
     except OSError as error:
         raise StoreError(f"{target}: expected to write it, found {error.strerror}") from error
 

@@ -395,3 +395,49 @@ def test_a_bucket_is_no_name_for_a_store_and_a_url_no_source(raw: Path, proxy: P
     with pytest.raises(LayoutError, match="local or mounted, found a URL"):
         nimprep.convert(f"s3://{BUCKET}/raw", "out.zarr")
     assert proxy.requests == []
+
+
+def test_keys_that_are_not_nimpreps_are_named_and_stay(url: str, raw: Path, proxy: Proxy) -> None:
+    storage = ObjectStorage(url)
+    nimprep.convert(raw, url, **OPTIONS)
+    for key in ("notes.txt", "runs/a/checkpoint.pt", "rgb/notes.txt", "hha2/zarr.json"):
+        storage.write(key, [b"mine"])
+        before = below(url)
+        with pytest.raises(StoreError, match=f"found '{key}', which would be lost"):
+            nimprep.convert(raw, url, overwrite=True, **OPTIONS)
+        assert below(url) == before
+        storage.remove(key)
+    nimprep.convert(raw, url, overwrite=True, **OPTIONS)
+
+
+def test_attributes_that_are_not_nimpreps_are_named_and_stay(
+    url: str, raw: Path, proxy: Proxy
+) -> None:
+    storage = ObjectStorage(url)
+    nimprep.convert(raw, url, **OPTIONS)
+    root = json.loads(storage.read("zarr.json") or b"")
+    root["attributes"]["license"] = "CC-BY-4.0"
+    storage.write("zarr.json", [json.dumps(root).encode()])
+    before = below(url)
+    with pytest.raises(StoreError, match="found attribute 'license', which would be lost"):
+        nimprep.convert(raw, url, overwrite=True, **OPTIONS)
+    assert below(url) == before
+
+
+def test_what_comes_while_a_store_is_replaced_stays(
+    url: str, raw: Path, tmp_path: Path, proxy: Proxy
+) -> None:
+    storage = ObjectStorage(url)
+    nimprep.convert(raw, url, **OPTIONS)
+
+    def progress(step: str, frames: int) -> Callable[[], None]:
+        storage.write("notes.txt", [b"mine"])
+        return lambda: None
+
+    # Looking for what to crop comes first, before the old store goes.
+    small = {"camera": CAMERA, "modalities": ("rgb",), "crop": "auto"}
+    nimprep.convert(raw, url, overwrite=True, progress=progress, **small)
+    found = below(url)
+    assert found.pop("notes.txt") == b"mine"
+    nimprep.convert(raw, tmp_path / "plain.zarr", **small)
+    assert found == contents(tmp_path / "plain.zarr")
