@@ -24,7 +24,8 @@ from nimprep.errors import DecodeError, LayoutError, NimprepError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
-from nimprep.store.location import is_url, storage_from
+from nimprep.store.access import storage_from
+from nimprep.store.location import is_url
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import StoreWriter

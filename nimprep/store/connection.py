@@ -13,7 +13,7 @@ import weakref
 from collections.abc import Callable
 from datetime import timedelta
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 from nimprep.errors import StoreError
 from nimprep.store.relay import relay
@@ -21,8 +21,15 @@ from nimprep.store.relay import relay
 if TYPE_CHECKING:
     from obstore.store import ObjectStore
 
-    from nimprep.store.objects import ObjectStorage
 
+class Connected(Protocol):
+    """What makes requests: the URL it names in errors, and its connections once it has some."""
+
+    url: str
+    opened: ObjectStore | None
+
+
+S = TypeVar("S", bound=Connected)
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -46,7 +53,7 @@ class RequestError(StoreError):
     """A request was refused, or failed each time it was made again."""
 
 
-live: weakref.WeakSet[ObjectStorage] = weakref.WeakSet()
+live: weakref.WeakSet[Connected] = weakref.WeakSet()
 """The storages that have connections."""
 
 _kept: list[Any] = []
@@ -66,12 +73,12 @@ if hasattr(os, "register_at_fork"):
 
 
 def requesting(
-    method: Callable[Concatenate[ObjectStorage, P], R],
-) -> Callable[Concatenate[ObjectStorage, P], R]:
+    method: Callable[Concatenate[S, P], R],
+) -> Callable[Concatenate[S, P], R]:
     """Let a method run where requests can be made; what goes wrong is a `RequestError`."""
 
     @wraps(method)
-    def run(self: ObjectStorage, /, *arguments: P.args, **named: P.kwargs) -> R:
+    def run(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:
         if _forked:
             value: R = relay().call(self, method.__name__, arguments, named)
             return value

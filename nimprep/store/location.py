@@ -1,18 +1,13 @@
-"""Where a store is: a folder, or a URL; both offer their bytes as a `Storage`."""
+"""Where a store is: a folder, or a URL."""
 
 from __future__ import annotations
 
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from nimprep.errors import StoreError
-from nimprep.store.storage import LocalStorage, Storage
-
-if TYPE_CHECKING:
-    from nimprep.store.objects import ObjectStorage
 
 Place = Path | str
 """A folder, or the URL of what is none."""
@@ -58,22 +53,3 @@ def location_from(place: Path | str | os.PathLike[str]) -> Place:
     if not rest.strip("/"):
         raise StoreError(f"{place}: expected a bucket in the URL, found none")
     return f"{scheme}://{rest.rstrip('/')}"
-
-
-def storage_from(place: Path | str | os.PathLike[str] | Storage) -> LocalStorage | ObjectStorage:
-    """Return what reads and writes a place; what is a storage stays as it is.
-
-    Raises
-    ------
-    StoreError
-        It is a URL that cannot be read, or the extra `cloud` is missing.
-    """
-    if isinstance(place, LocalStorage):
-        return place
-    if isinstance(place, (str, os.PathLike)):
-        place = location_from(place)
-        if isinstance(place, Path):
-            return LocalStorage(place)
-    from nimprep.store.objects import ObjectStorage
-
-    return place if isinstance(place, ObjectStorage) else ObjectStorage(str(place))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nimprep.errors import StoreError
 from nimprep.schema import MAX_BYTES, parse_json
+from nimprep.store.access import storage_from
 from nimprep.store.seal import with_digest
 from nimprep.store.spec import check_version
 
@@ -52,8 +53,6 @@ def consolidated(root: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 def read_attributes(store: Path | str | Storage, *, complete: bool = True) -> dict[str, Any]:
     """Return the `nimprep` object of a store's root attributes; see `read_root`."""
-    from nimprep.store.location import storage_from
-
     attributes: dict[str, Any] = read_root(storage_from(store), complete=complete)["attributes"]
     found: dict[str, Any] = attributes["nimprep"]
     return found
@@ -99,8 +98,6 @@ def root_from(data: bytes | None, storage: Storage, *, complete: bool = True) ->
 
 def write_attributes(store: Path | str | Storage, attributes: dict[str, Any]) -> None:
     """Replace the `nimprep` object of a store's root, with a new digest; all else there stays."""
-    from nimprep.store.location import storage_from
-
     storage = storage_from(store)
     document = read_document(storage, ROOT)
     document["attributes"] = {**document["attributes"], "nimprep": with_digest(attributes)}

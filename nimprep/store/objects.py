@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from nimprep.errors import StoreError
 from nimprep.store.connection import connect, live, requesting
+from nimprep.store.location import location_from
 from nimprep.store.storage import check_part
 
 if TYPE_CHECKING:
@@ -61,8 +62,6 @@ class ObjectStorage:
 
     def __init__(self, url: str, **options: Any) -> None:
         from importlib.util import find_spec
-
-        from nimprep.store.location import location_from
 
         self.url = str(location_from(url))
         self.options = options

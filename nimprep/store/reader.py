@@ -14,11 +14,12 @@ from nimprep.errors import StoreError
 from nimprep.frame import Frame, LabelClass
 from nimprep.schema import MAX_BYTES, check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
+from nimprep.store.access import storage_from
 from nimprep.store.connection import RequestError
 from nimprep.store.frame_tables import read_tables
 from nimprep.store.frames import StoredFrame, check_size
 from nimprep.store.images import ImageArray, OwnChunks
-from nimprep.store.location import Place, location_from, storage_from
+from nimprep.store.location import Place, location_from
 from nimprep.store.metadata import ROOT, consolidated, root_from
 from nimprep.store.seal import digest_problem
 from nimprep.store.spec import stored_modalities

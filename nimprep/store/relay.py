@@ -13,12 +13,9 @@ import pickle
 import subprocess
 import sys
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nimprep.errors import NimprepError, StoreError
-
-if TYPE_CHECKING:
-    from nimprep.store.objects import ObjectStorage
 
 _SERVE = "import sys; sys.path[:] = {path!r}; from nimprep.store.relay import serve; serve()"
 
@@ -37,7 +34,7 @@ class Relay:
 
     def call(
         self,
-        storage: ObjectStorage,
+        storage: object,
         method: str,
         arguments: tuple[Any, ...],
         named: dict[str, Any],

@@ -17,9 +17,10 @@ from nimprep.errors import NimprepError, StoreError
 from nimprep.parallel import Progress, map_in_order
 from nimprep.schema import MAX_BYTES, schema_problems
 from nimprep.splits import SPLIT_CODES
+from nimprep.store.access import storage_from
 from nimprep.store.image_layout import layout_problems
 from nimprep.store.images import ImageArray
-from nimprep.store.location import Place, storage_from
+from nimprep.store.location import Place
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, consolidated, read_attributes, read_document
 from nimprep.store.reader import Store

@@ -12,7 +12,8 @@ import pytest
 
 from nimprep.errors import StoreError
 from nimprep.store import connection, objects
-from nimprep.store.location import location_from, storage_from
+from nimprep.store.access import storage_from
+from nimprep.store.location import location_from
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage, Storage
 from tests.cloud.server import Proxy, Request
