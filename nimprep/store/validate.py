@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from contextlib import closing
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -23,6 +22,7 @@ from nimprep.store.images import ImageArray
 from nimprep.store.location import Place
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, consolidated, read_attributes, read_document
+from nimprep.store.problems import Report
 from nimprep.store.reader import Store
 from nimprep.store.spec import KNOWN_VERSIONS, ArraySpec
 from nimprep.store.storage import Storage
@@ -33,66 +33,6 @@ _PLAIN_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 _AT_ONCE = 8
 """Shards whose indices are asked for at once: each takes its time over a network."""
-
-MAX_PROBLEMS = 100
-"""A report stops after as many problems; a damaged store would otherwise list every pixel."""
-
-_LONGEST = 1000
-
-
-@dataclass
-class Report:
-    """Gather what is wrong with a store.
-
-    Attributes
-    ----------
-    path : str
-    deep : bool
-        Whether pixels were looked at.
-    frames : int
-        Frames the store says it has; 0 where that cannot be told.
-    problems : list of str
-        One line each, naming array and frame; empty = the store is valid.
-    checks : dict of str to int
-        What was checked, and how many of it.
-    """
-
-    path: str
-    deep: bool
-    frames: int = 0
-    problems: list[str] = field(default_factory=list)
-    checks: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def valid(self) -> bool:
-        """Whether nothing is wrong."""
-        return not self.problems
-
-    def add(self, problem: str) -> None:
-        """Note a problem, in one line."""
-        if not self.full:
-            line = " ".join(problem.split())
-            self.problems.append(line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "...")
-
-    @property
-    def full(self) -> bool:
-        """Whether no more problems are noted, so that none need be looked for."""
-        return len(self.problems) >= MAX_PROBLEMS
-
-    def count(self, what: str, number: int = 1) -> None:
-        """Note that something was checked."""
-        self.checks[what] = self.checks.get(what, 0) + number
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the report as JSON holds it (schemas/validation.schema.json)."""
-        return {
-            "path": self.path,
-            "valid": self.valid,
-            "deep": self.deep,
-            "frames": self.frames,
-            "checks": self.checks,
-            "problems": self.problems,
-        }
 
 
 def validate_store(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +16,9 @@ from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, Frame
 from nimprep.modality import Modality
 from nimprep.parallel import Progress, available_cores, map_in_order, no_progress
 from nimprep.store.frames import depth_from_millimetres, to_integers
+from nimprep.store.problems import Report
 from nimprep.store.reader import Store
 from nimprep.store.statistics import channel_sums
-
-if TYPE_CHECKING:
-    from nimprep.store.validate import Report
 
 SAMPLE = 16
 """Derived modalities are made again on at most as many frames, spread over the store."""
