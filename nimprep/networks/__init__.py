@@ -9,8 +9,8 @@ their papers, with the channels and layers of the public implementations.
 """
 
 from nimprep.networks.build import NETWORKS, build_network
-from nimprep.networks.network import Logits, Network
-from nimprep.networks.weights import Loaded, count_parameters, load_weights, save_weights
+from nimprep.networks.network import Loaded, Logits, Network
+from nimprep.networks.weights import count_parameters, load_weights, save_weights
 
 __all__ = [
     "NETWORKS",

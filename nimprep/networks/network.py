@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 from torch import Tensor, nn
 from torch.nn import functional
 
 from nimprep.errors import ArrayError
-
-if TYPE_CHECKING:
-    from nimprep.networks.weights import Loaded
 
 SMALLEST = 64
 """Height and width, pixels, that every network takes at least."""
@@ -21,6 +19,36 @@ class Logits(NamedTuple):
     """Hold what a network without auxiliary outputs gives: (B, C, H, W)."""
 
     logits: Tensor
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """List what came of a file of weights.
+
+    Attributes
+    ----------
+    loaded : tuple of str
+        The network's tensors that are the file's.
+    adapted : tuple of str
+        Those among them whose input channels are others than the file's: each is the mean over the
+        file's channels.
+    initial : tuple of str
+        The network's tensors that are as they were.
+    unused : tuple of str
+        The file's tensors that have no place in the network.
+    """
+
+    loaded: tuple[str, ...]
+    adapted: tuple[str, ...]
+    initial: tuple[str, ...]
+    unused: tuple[str, ...]
+
+    def __str__(self) -> str:
+        adapted = f" ({len(self.adapted)} adapted to other channels)" if self.adapted else ""
+        return (
+            f"loaded {len(self.loaded)} tensors{adapted}, {len(self.initial)} of the network are "
+            f"initial, {len(self.unused)} of the file unused"
+        )
 
 
 class Network(nn.Module, ABC):

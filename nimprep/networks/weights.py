@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from torch import Tensor, nn
 
 from nimprep.errors import ArrayError
 from nimprep.networks.densenet import DenseNet121
-from nimprep.networks.network import Network
+from nimprep.networks.network import Loaded, Network
 from nimprep.networks.resnet import ResNet
 from nimprep.networks.vgg import VGG16
 
@@ -21,36 +20,6 @@ FIRST = ("features.0.weight", "conv1.weight", "features.conv0.weight")
 """The first convolution of VGG, ResNet and DenseNet, which sees the image."""
 
 _MARK = "nimprep_network"
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """List what came of a file of weights.
-
-    Attributes
-    ----------
-    loaded : tuple of str
-        The network's tensors that are the file's.
-    adapted : tuple of str
-        Those among them whose input channels are others than the file's: each is the mean over the
-        file's channels.
-    initial : tuple of str
-        The network's tensors that are as they were.
-    unused : tuple of str
-        The file's tensors that have no place in the network.
-    """
-
-    loaded: tuple[str, ...]
-    adapted: tuple[str, ...]
-    initial: tuple[str, ...]
-    unused: tuple[str, ...]
-
-    def __str__(self) -> str:
-        adapted = f" ({len(self.adapted)} adapted to other channels)" if self.adapted else ""
-        return (
-            f"loaded {len(self.loaded)} tensors{adapted}, {len(self.initial)} of the network are "
-            f"initial, {len(self.unused)} of the file unused"
-        )
 
 
 def save_weights(network: Network, path: Path | str) -> None:
