@@ -1,8 +1,9 @@
-"""Nothing imports backwards: each part may use those before it, and no other."""
+"""Nothing imports backwards or in a circle: each part may use those before it, and no other."""
 
 import ast
 import importlib
 import re
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -34,21 +35,49 @@ def part(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-def imported(path: Path) -> set[str]:
-    """Return the parts of nimprep that a module imports anywhere, functions included."""
+def names_imported(path: Path) -> set[str]:
+    """Return what a module imports of nimprep, by its full name.
+
+    Anywhere: within functions, and for type checkers alone, too. What only a type checker imports
+    makes no circle when it runs, but two files that cannot be read one after the other.
+    """
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        names = []
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-        found |= {name.split(".")[1] for name in names if name.startswith("nimprep.")}
-    return found - {"__version__"}
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return {name for name in found if name.startswith("nimprep.")}
+
+
+def imported(path: Path) -> set[str]:
+    """Return the parts of nimprep that a module imports."""
+    return {name.split(".")[1] for name in names_imported(path)} - {"__version__"}
 
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def test_no_two_files_import_each_other_in_a_circle() -> None:
+    # The package itself, which only has its parts' public names, is no part.
+    files = {module_name(path): path for path in MODULES}
+    graph = {}
+    for module, path in files.items():
+        names = names_imported(path)
+        # A name within a module comes with the module.
+        found = {name if name in files else name.rpartition(".")[0] for name in names}
+        graph[module] = found & files.keys() - {module}
+    assert sum(map(len, graph.values())) > 500
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"a circle: {' <- '.join(error.args[1])}")
 
 
 def test_every_part_has_its_layer() -> None:
