@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep import modality
+from nimprep.arrays import without_mask
 from nimprep.camera import Camera
 from nimprep.errors import ArrayError
 from nimprep.modality import modality_name as modality_name
@@ -42,6 +43,8 @@ class LabelClass:
 class Frame:
     """Hold one time step.
 
+    Depth is checked, and masks of masked arrays become what says none: 0, NaN, 255 in labels.
+
     Attributes
     ----------
     id : str
@@ -51,7 +54,7 @@ class Frame:
     rgb : (H, W, 3) uint8, optional
         Colour, channels R, G, B.
     depth_m : (H, W) float32, metres, optional
-        0 = no depth.
+        0 = no depth; what is made one of NaN, infinity or less than 0.1 mm is there 0.
     normal : (H, W, 3) float32, optional
         Unit vectors in the camera frame, pointing at the camera; (0, 0, 0) = none.
     hha : (H, W, 3) uint8, optional
@@ -72,6 +75,12 @@ class Frame:
         Stereo baseline, metres; NaN = none.
     cam_to_road : (3, 4) float64, optional
         Transform from the camera frame to the road frame, metres.
+
+    Raises
+    ------
+    ArrayError
+        The depth is no floating (H, W) array of the camera's size, or negative somewhere; or the
+        colours are masked.
     """
 
     id: str
@@ -89,6 +98,24 @@ class Frame:
     baseline_m: float = float("nan")
     cam_to_road: npt.NDArray[np.float64] | None = None
 
+    def __post_init__(self) -> None:
+        try:
+            for name, record in modality.MODALITIES.items():
+                given = self.image(name)
+                if not isinstance(given, np.ma.MaskedArray):
+                    continue
+                place, plain = record.attribute or name, _plain(record, given)
+                if not hasattr(self, place):
+                    place, plain = "others", {**self.others, name: plain}
+                object.__setattr__(self, place, plain)
+            if self.depth_m is not None:
+                # Here, as its kernels take their time to load.
+                from nimprep.depth import checked_depth
+
+                object.__setattr__(self, "depth_m", checked_depth(self.depth_m, self.camera))
+        except ArrayError as error:
+            raise ArrayError(f"frame {self.id!r}: {error}") from error
+
     def image(self, name: str) -> npt.NDArray[Any] | None:
         """Return the image of a modality by its name, an attribute or one of `others`.
 
@@ -103,6 +130,16 @@ class Frame:
         attribute = modality.MODALITIES[name].attribute or name
         found: npt.NDArray[Any] | None = getattr(self, attribute, self.others.get(name))
         return found
+
+
+def _plain(record: modality.Modality, image: np.ma.MaskedArray[Any, Any]) -> Any:
+    """Return an image with what says none where it was masked, all channels of a pixel as one."""
+    if record.values == "colors":
+        return without_mask(image, record.name)
+    mask: npt.NDArray[np.bool_] = np.ma.getmaskarray(image)
+    if image.ndim == 3:
+        mask = np.any(mask, axis=-1, keepdims=True)
+    return np.where(mask, np.array(record.absent).astype(image.dtype), image.data)
 
 
 # Kept for a release, for those who import them: `nimprep.modality` says all of this.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import unmasked, without_mask
 from nimprep.errors import ArrayError
 from nimprep.frame import IGNORE_LABEL
 
@@ -36,7 +37,7 @@ def confusion_matrix(
     Parameters
     ----------
     label, prediction : integer arrays of one shape
-        Class ids 0 to classes - 1. Pixels whose *label* is `ignore` are left out.
+        Class ids 0 to classes - 1. Pixels whose *label* is `ignore` or masked are left out.
     classes : int
         How many there are.
 
@@ -48,8 +49,10 @@ def confusion_matrix(
     Raises
     ------
     ArrayError
-        Shapes differ, the arrays hold no integers, or an id outside the classes.
+        Shapes differ, the arrays hold no integers, an id outside the classes, or the prediction is
+        masked where the label counts.
     """
+    left_out, unsaid = np.ma.getmask(label), np.ma.getmask(prediction)
     label, prediction = np.asarray(label), np.asarray(prediction)
     if label.shape != prediction.shape:
         raise ArrayError(
@@ -58,7 +61,12 @@ def confusion_matrix(
     for name, array in (("label", label), ("prediction", prediction)):
         if not np.issubdtype(array.dtype, np.integer):
             raise ArrayError(f"{name}: expected integer class ids, found {array.dtype}")
-    kept = label != ignore
+    kept = (label != ignore) & ~left_out
+    if (kept & unsaid).any():
+        raise ArrayError(
+            "prediction: expected a class wherever the label has one, "
+            f"found {(kept & unsaid).sum()} masked pixels; mask the label there"
+        )
     truth, guess = label[kept].astype(np.int64), prediction[kept].astype(np.int64)
     for name, ids in (("label", truth), ("prediction", guess)):
         wrong = ids[(ids < 0) | (ids >= classes)]
@@ -77,27 +85,32 @@ def _ratio(part: npt.NDArray[np.integer], whole: npt.NDArray[np.integer]) -> Sco
 
 def precision_per_class(confusion: Counts) -> Scores:
     """Return TP / (TP + FP) per class, (classes,); NaN where a class was never predicted."""
+    confusion = without_mask(confusion, "confusion")
     return _ratio(np.diag(confusion), confusion.sum(axis=0))
 
 
 def recall_per_class(confusion: Counts) -> Scores:
     """Return TP / (TP + FN) per class, (classes,); NaN where a class never occurs."""
+    confusion = without_mask(confusion, "confusion")
     return _ratio(np.diag(confusion), confusion.sum(axis=1))
 
 
 def f_score_per_class(confusion: Counts) -> Scores:
     """Return 2 TP / (2 TP + FP + FN) per class, (classes,); NaN where neither side has it."""
+    confusion = without_mask(confusion, "confusion")
     return _ratio(2 * np.diag(confusion), confusion.sum(axis=0) + confusion.sum(axis=1))
 
 
 def iou_per_class(confusion: Counts) -> Scores:
     """Return TP / (TP + FP + FN) per class, (classes,); NaN where neither side has it."""
+    confusion = without_mask(confusion, "confusion")
     hits = np.diag(confusion)
     return _ratio(hits, confusion.sum(axis=0) + confusion.sum(axis=1) - hits)
 
 
 def pixel_accuracy(confusion: Counts) -> float:
     """Return the share of pixels whose class is right; NaN where nothing was counted."""
+    confusion = without_mask(confusion, "confusion")
     return float(_ratio(np.trace(confusion)[None], confusion.sum()[None])[0])
 
 
@@ -113,9 +126,9 @@ def count_confidences(
     confidence : (H, W) uint8
         255 = surely positive.
     positive : (H, W) bool
-        The truth.
+        The truth; masked pixels are not counted.
     evaluated : (H, W) bool, optional
-        Which pixels to count; None = all.
+        Which pixels to count; None = all, masked = not.
 
     Returns
     -------
@@ -125,9 +138,9 @@ def count_confidences(
     Raises
     ------
     ArrayError
-        The shapes differ, or the confidences are not uint8.
+        The shapes differ, or the confidences are not uint8 or masked.
     """
-    confidence = np.asarray(confidence)
+    confidence = without_mask(confidence, "confidence")
     if confidence.dtype != np.uint8:
         raise ArrayError(f"confidence: expected uint8, found {confidence.dtype}")
     for name, mask in (("positive", positive), ("evaluated", evaluated)):
@@ -137,8 +150,10 @@ def count_confidences(
                 f"found {np.shape(mask)}"
             )
     cell = confidence + np.uint16(LEVELS) * np.asarray(positive, dtype=bool)
-    if evaluated is not None:
-        cell = cell[np.asarray(evaluated, dtype=bool)]
+    unknown = np.ma.getmask(positive)
+    if evaluated is not None or unknown is not np.ma.nomask:
+        counted = True if evaluated is None else unmasked(evaluated, False).astype(bool)
+        cell = cell[counted & ~unknown]
     counts = np.bincount(cell.reshape(-1), minlength=2 * LEVELS)
     return counts.astype(np.int64, copy=False).reshape(2, LEVELS)
 
@@ -217,6 +232,7 @@ def precision_recall_curve(counts: Counts) -> PrecisionRecallCurve:
     ArrayError
         Another shape, or no positive was counted: recall means nothing then.
     """
+    counts = without_mask(counts, "counts")
     if np.shape(counts) != (2, LEVELS):
         raise ArrayError(f"counts: expected shape (2, {LEVELS}), found {np.shape(counts)}")
     at_or_above = np.cumsum(counts[:, ::-1], axis=1)[:, ::-1]

@@ -7,8 +7,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.depth import checked_depth
 from nimprep.derive.colorization import fill_by_colorization
-from nimprep.derive.depth import checked_depth
 from nimprep.errors import ArrayError
 from nimprep.kernels.completion_delaunay import triangulate
 from nimprep.kernels.completion_linear import border_points, fill_triangles

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nimprep.arrays import LEAST_DEPTH_M
 from nimprep.camera import MAX_BASELINE_M, Camera
-from nimprep.derive.depth import checked_depth, checked_plane
+from nimprep.depth import checked_depth, checked_plane
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.errors import ArrayError
 from nimprep.frame import VIRTUAL_BASELINE_M

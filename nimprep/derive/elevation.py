@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nimprep.arrays import floats
 from nimprep.camera import Camera
-from nimprep.derive.depth import checked_depth
+from nimprep.depth import checked_depth
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.road import find_road, grid_points
 from nimprep.errors import ArrayError

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nimprep.arrays import unmasked
 from nimprep.camera import Camera
-from nimprep.derive.depth import checked_depth
+from nimprep.depth import checked_depth
 from nimprep.errors import ArrayError
 from nimprep.kernels.hha_gravity import wall_minus_floor
 from nimprep.kernels.hha_planes import inverse_depth, plane_block

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.derive.depth import checked_depth
+from nimprep.depth import checked_depth
 from nimprep.derive.methods import METHODS as METHODS
 from nimprep.derive.methods import check_method as check_method
 from nimprep.derive.recipe import Given, Made, Recipe

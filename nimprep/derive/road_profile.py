@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.arrays import unmasked
-from nimprep.derive.depth import checked_plane
+from nimprep.depth import checked_plane
 from nimprep.derive.disparity import baseline_parameters, disparity_of
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.derive.road import find_road, grid_points

@@ -129,7 +129,7 @@ def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def read_depth(path: Path) -> npt.NDArray[Any]:
-    """Return a depth image's raw values as (H, W), uint16 or floating.
+    """Return a depth image's raw values as (H, W), uint16 or floating; NaN and infinity stay.
 
     PNG, TIFF, PGM and PFM through OpenCV; .npy through NumPy.
 

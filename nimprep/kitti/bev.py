@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import without_mask
 from nimprep.errors import ArrayError, DecodeError, LayoutError
 from nimprep.kitti.calibration import Calibration, frame_shape, read_calibration
 
@@ -100,11 +101,11 @@ def transform_to_bev(image: npt.NDArray[Pixel], calibration: Calibration) -> npt
     Raises
     ------
     ArrayError
-        The image has another number of axes, or is empty.
+        The image has another number of axes, is empty, or has masked pixels.
     DecodeError
         The calibration lacks a matrix.
     """
-    array: npt.NDArray[Any] = np.asarray(image)
+    array: npt.NDArray[Any] = without_mask(image, "image")
     if array.ndim not in (2, 3) or array.size == 0:
         raise ArrayError(f"image: expected (H, W) or (H, W, C), found shape {array.shape}")
     height, width = array.shape[:2]

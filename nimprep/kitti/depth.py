@@ -33,7 +33,8 @@ _ORDER: tuple[DepthSource, ...] = ("depth_u16", "lidar", "stereo")
 
 def millimetres_from_metres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     """Return depth as a depth_u16 image holds it: 0 = none, 65535 = 65.535 m or more."""
-    thousandths: npt.NDArray[np.float32] = np.rint(depth_m * np.float32(1000))
+    with np.errstate(over="ignore"):
+        thousandths: npt.NDArray[np.float32] = np.rint(depth_m * np.float32(1000))
     return np.clip(thousandths, 0, SATURATED_MM).astype(np.uint16)
 
 

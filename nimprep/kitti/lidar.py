@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import LEAST_DEPTH_M, floats
 from nimprep.errors import ArrayError, DecodeError
 from nimprep.files import read_file
 from nimprep.kitti.calibration import Calibration
@@ -22,12 +23,13 @@ def read_velodyne(path: Path | str) -> npt.NDArray[np.float32]:
     Returns
     -------
     (N, 4) float32, metres and [0, 1]
-        Scanner frame: x forward, y left, z up.
+        Scanner frame: x forward, y left, z up. Points with NaN or infinity among their coordinates
+        are no returns and left out.
 
     Raises
     ------
     DecodeError
-        It cannot be read, is empty, holds a part of a point, or a number that is not finite.
+        It cannot be read, is empty, holds a part of a point, or none with finite coordinates.
     """
     path = Path(path)
     data = read_file(path, _MAX_BYTES, "a Velodyne scan")
@@ -37,9 +39,10 @@ def read_velodyne(path: Path | str) -> npt.NDArray[np.float32]:
             "the file is truncated"
         )
     points = np.frombuffer(data, dtype="<f4").reshape(-1, 4).astype(np.float32, copy=False)
-    if not np.isfinite(points).all():
-        raise DecodeError(f"{path}: expected finite coordinates, found NaN or infinity")
-    return points
+    returns = np.isfinite(points[:, :3]).all(axis=1)
+    if not returns.any():
+        raise DecodeError(f"{path}: expected finite coordinates, found NaN or infinity in all")
+    return points if returns.all() else points[returns]
 
 
 def project_lidar(
@@ -47,13 +50,14 @@ def project_lidar(
 ) -> npt.NDArray[np.float32]:
     """Return the sparse depth image of a scan; the nearest return of a pixel wins.
 
-    A point falls on the pixel whose centre is nearest; points behind the camera and outside the
-    image are left out.
+    A point falls on the pixel whose centre is nearest; points behind the camera, nearer than 0.1 mm
+    and outside the image are left out.
 
     Parameters
     ----------
     points : (N, 3) or (N, 4) floating, metres
-        Scanner frame; a fourth column is ignored.
+        Scanner frame; a fourth column is ignored. Where a coordinate is NaN, infinite or masked
+        there is no return.
     calibration : Calibration
         With P2, R0_rect and Tr_velo_to_cam.
     height, width : int
@@ -71,17 +75,21 @@ def project_lidar(
     DecodeError
         The calibration lacks a matrix.
     """
-    if points.ndim != 2 or points.shape[1] not in (3, 4):
-        raise ArrayError(f"points: expected (N, 3) or (N, 4), found shape {points.shape}")
+    if np.ndim(points) != 2 or np.shape(points)[1] not in (3, 4):
+        raise ArrayError(f"points: expected (N, 3) or (N, 4), found shape {np.shape(points)}")
+    coordinates = floats(points)[:, :3]
+    coordinates = coordinates[np.isfinite(coordinates).all(axis=1)]
     velo_to_cam = calibration.velo_to_cam
-    seen = points[:, :3].astype(np.float64) @ velo_to_cam[:, :3].T + velo_to_cam[:, 3]
-    seen = seen[seen[:, 2] > 0]
-    image_points = seen @ calibration.intrinsics.T
-    u = np.rint(image_points[:, 0] / image_points[:, 2])
-    v = np.rint(image_points[:, 1] / image_points[:, 2])
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
     depth_m = np.full(height * width, np.inf, dtype=np.float32)
-    np.minimum.at(depth_m, pixel, seen[inside, 2].astype(np.float32))
+    # What is too far for floating point comes out as NaN or infinity, and so nowhere.
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen = coordinates @ velo_to_cam[:, :3].T + velo_to_cam[:, 3]
+        seen = seen[seen[:, 2] >= LEAST_DEPTH_M]
+        image_points = seen @ calibration.intrinsics.T
+        u = np.rint(image_points[:, 0] / image_points[:, 2])
+        v = np.rint(image_points[:, 1] / image_points[:, 2])
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
+        np.minimum.at(depth_m, pixel, seen[inside, 2].astype(np.float32))
     depth_m[np.isinf(depth_m)] = 0
     return depth_m.reshape(height, width)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import unmasked, without_mask
 from nimprep.errors import ArrayError, DecodeError, LayoutError
 from nimprep.files import check_file, write_whole
 from nimprep.folders import refuse_inside
@@ -66,6 +67,7 @@ def draw_overlay(
     image : (H, W, 3) uint8, R, G, B
     confidence : (H, W) uint8
     truth : GroundTruth, (H, W)
+        Masked pixels are not evaluated.
     threshold : float
         Confidence, 0 to 1, at or above which a pixel is called positive.
 
@@ -76,13 +78,21 @@ def draw_overlay(
     Raises
     ------
     ArrayError
-        The sizes differ.
+        The sizes differ, or the image or the confidence is not uint8 or has masked pixels.
     """
+    image, confidence = without_mask(image, "image"), without_mask(confidence, "confidence")
+    if image.ndim != 3 or image.shape[2] != 3:
+        raise ArrayError(f"image: expected (H, W, 3), found shape {image.shape}")
+    evaluated = unmasked(truth.evaluated, False) & ~np.ma.getmaskarray(truth.positive)
+    truth = GroundTruth(positive=np.asarray(truth.positive), evaluated=evaluated)
     for name, array in (("confidence", confidence), ("truth", truth.evaluated)):
         if array.shape != image.shape[:2]:
             raise ArrayError(
                 f"{name}: expected the image's size {image.shape[:2]}, found {array.shape}"
             )
+    for name, array in (("image", image), ("confidence", confidence)):
+        if array.dtype != np.uint8:
+            raise ArrayError(f"{name}: expected uint8, found {array.dtype}")
     return draw_outcomes(image, confidence / 255 >= threshold, truth)
 
 

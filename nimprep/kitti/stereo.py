@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.errors import ArrayError
+from nimprep.arrays import LEAST_DEPTH_M, without_mask
+from nimprep.errors import ArrayError, DecodeError
 from nimprep.kitti.calibration import Calibration
 
 MAX_DISPARITY = 128
@@ -42,11 +43,12 @@ def match_stereo(
     Raises
     ------
     ArrayError
-        The images differ in size or are no colour images.
+        The images differ in size, are no colour images or have masked pixels.
     """
     import cv2
 
-    if left.ndim != 3 or left.shape != right.shape:
+    left, right = _checked_image(left, "left"), _checked_image(right, "right")
+    if left.shape != right.shape:
         raise ArrayError(
             f"right: expected an image like the left one, {left.shape}, found {right.shape}"
         )
@@ -63,6 +65,13 @@ def match_stereo(
     back = np.take_along_axis(from_right, np.where(known, target, 0), axis=1)
     agreed = known & (back > 0) & (np.abs(back - disparity) <= _TOLERANCE)
     return np.where(agreed, disparity, np.float32(0))
+
+
+def _checked_image(image: Any, name: str) -> npt.NDArray[np.uint8]:
+    array = without_mask(image, name)
+    if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3 or array.size == 0:
+        raise ArrayError(f"{name}: expected (H, W, 3) uint8, found {array.shape} {array.dtype}")
+    return np.ascontiguousarray(array)
 
 
 def _match(left: npt.NDArray[Any], right: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
@@ -105,17 +114,24 @@ def stereo_depth(
     Returns
     -------
     (H, W) float32, metres
-        Along the image_2 camera's z; 0 = no match.
+        Along the image_2 camera's z; 0 = no match, or nearer than 0.1 mm.
 
     Raises
     ------
     ArrayError
-        The images differ in size.
+        As `match_stereo`.
     DecodeError
-        The calibration lacks a matrix.
+        The calibration lacks a matrix, or P3's camera is not to the right of P2's.
     """
-    reach = np.float32(calibration.intrinsics[0, 0] * calibration.baseline_m)
+    baseline_m = calibration.baseline_m
+    if not baseline_m > 0:
+        raise DecodeError(
+            f"{calibration.path}: expected P3's camera to the right of P2's, "
+            f"found a baseline of {baseline_m:g} m"
+        )
+    reach = np.float32(calibration.intrinsics[0, 0] * baseline_m)
     disparity = match_stereo(left, right)
     depth_m = np.zeros_like(disparity)
     np.divide(reach, disparity, out=depth_m, where=disparity > 0)
+    depth_m[depth_m < LEAST_DEPTH_M] = 0
     return depth_m

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.errors import DecodeError, LayoutError
+from nimprep.depth import checked_depth
+from nimprep.errors import ArrayError, DecodeError, LayoutError
 from nimprep.frame import IGNORE_LABEL, LabelClass
 
 PLAUSIBLE_MEDIAN_M = (0.05, 100.0)
@@ -56,7 +57,7 @@ def depth_in_metres(
     Parameters
     ----------
     raw : (H, W) uint16 or floating
-        As decoded; NaN is none.
+        As decoded; 0, NaN and infinity are none, as is what comes out below 0.1 mm.
     scale_m : float
         Metres per raw unit.
     invalid : sequence of float
@@ -67,39 +68,33 @@ def depth_in_metres(
     Raises
     ------
     DecodeError
-        No pixel has depth, one is negative or infinite, or the unit is plainly another.
+        No pixel has depth, one is negative, or the unit is plainly another.
     """
-    none = raw == 0
-    for value in invalid:
-        none |= raw == value
-    if np.issubdtype(raw.dtype, np.floating):
-        none |= np.isnan(raw)
-        valid = raw[~none]
-        if valid.size and (not np.isfinite(valid).all() or valid.min() < 0):
-            raise DecodeError(f"{path}: expected finite depth >= 0, found {_worst(valid):g}")
     # Dividing by a whole number keeps 1500 mm at exactly 1.5 m; multiplying by 0.001 does not.
     per_metre = round(1 / scale_m)
     whole = abs(1 / scale_m - per_metre) < 1e-6 * per_metre
-    depth_m = raw / np.float32(per_metre) if whole else raw * np.float32(scale_m)
-    depth_m = depth_m.astype(np.float32, copy=False)
-    np.copyto(depth_m, np.float32(0), where=none)
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        metres = raw / np.float32(per_metre) if whole else raw * np.float32(scale_m)
+    for value in invalid:
+        np.copyto(metres, 0, where=raw == value)
+    try:
+        depth_m = checked_depth(metres)
+    except ArrayError as error:
+        raise DecodeError(f"{path}: {error}") from error
     # Some 20,000 pixels tell the unit as well as all of them, at a hundredth of the time.
     some = depth_m.reshape(-1)[:: max(1, depth_m.size // 20_000)]
     valid = some[some > 0] if some.any() else depth_m[depth_m > 0]
     if valid.size == 0:
         raise DecodeError(f"{path}: expected depth, found no pixel that has any")
     low, high = PLAUSIBLE_MEDIAN_M
-    median = float(np.median(valid))
+    # In float64: the mean of the two in the middle may be beyond float32.
+    median = float(np.median(valid.astype(np.float64)))
     if check_unit and not low <= median <= high:
         raise DecodeError(
             f"{path}: expected a median depth of {low:g} to {high:g} m, found {median:g} m at "
             f"{scale_m:g} m per unit; give the right one with --depth-scale"
         )
     return depth_m
-
-
-def _worst(valid: npt.NDArray[Any]) -> float:
-    return float(valid[~np.isfinite(valid)][0] if not np.isfinite(valid).all() else valid.min())
 
 
 def check_label(

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from nimprep.arrays import LEAST_DEPTH_M
 from nimprep.errors import ArrayError
 
 METHODS = ("nim",)
@@ -15,6 +16,10 @@ METHODS = ("nim",)
 # the kernel's limits, where it says why.
 _FAINT = 1e-15
 _HUGE = 1e19
+
+# By how many times a neighbour's depth may differ and still be told from more: products of three
+# such ratios, which the gradients go through, stay in float32.
+_APART = 1e12
 
 
 class NIM(nn.Module):
@@ -58,8 +63,9 @@ class NIM(nn.Module):
         Parameters
         ----------
         depth_m : (B, 1, H, W) floating, metres
-            What is not positive and finite is no depth. Computed in float32 whatever autocast
-            says; in float64 if it is float64.
+            What is not finite, or below 0.1 mm, is no depth; so are negative numbers, which
+            `nimprep.estimate_normals` refuses: a layer does not branch on data. Computed in float32
+            whatever autocast says; in float64 if it is float64.
         intrinsics : (B, 3, 3) floating
             K, pixels; pixel (0, 0) is the centre of the top-left one. Only fx, fy, cx, cy are
             read.
@@ -97,7 +103,9 @@ def _normals(depth: Tensor, intrinsics: Tensor, sign_filter: bool) -> Tensor:
     infinity times the condition's 0 would be NaN.
     """
     x, y, fx, fy = _rays(depth, intrinsics)
-    present = (depth > 0) & torch.isfinite(depth)
+    # As the kernel has it in float32, so that float64 finds depth at the same pixels.
+    single = depth.detach().float()
+    present = (single >= LEAST_DEPTH_M) & torch.isfinite(single)
     z, (left, right, up, down), (has_left, has_right, has_up, has_down) = _neighbours(
         depth, present
     )
@@ -140,7 +148,8 @@ def _neighbours(
 ) -> tuple[Tensor, tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Return the depth, 1 where there is none, its four neighbours and whether they are there.
 
-    A missing neighbour takes the pixel's own depth: no candidate, a one-sided difference.
+    A missing neighbour takes the pixel's own depth: no candidate, a one-sided difference. One that
+    is beyond all measure nearer or farther counts as `_APART` times so.
     """
     z = torch.where(present, depth, torch.ones_like(depth))
     around, seen = pad(z, (1, 1, 1, 1)), pad(present, (1, 1, 1, 1))
@@ -148,7 +157,9 @@ def _neighbours(
     corners = ((1, 0), (1, 2), (0, 1), (2, 1))
     has = tuple(seen[..., v : v + height, u : u + width] for v, u in corners)
     beside = (around[..., v : v + height, u : u + width] for v, u in corners)
-    return z, tuple(torch.where(h, d, z) for h, d in zip(has, beside, strict=True)), has
+    least, most = z.detach() / _APART, z.detach() * _APART
+    near = (torch.where(h, d, z).clamp(least, most) for h, d in zip(has, beside, strict=True))
+    return z, tuple(near), has
 
 
 def _difference(before: Tensor, after: Tensor, both: Tensor, unit: Tensor) -> Tensor:

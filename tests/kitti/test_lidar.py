@@ -56,10 +56,35 @@ def test_a_scan_reads_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_velodyne(tmp_path / "a.bin"), scan)
 
 
+NO_RETURNS = [(np.nan,) * 3, (np.inf, 0, 0), (20, -np.inf, 0), (20, 0, np.nan), (3e38, 0, 0)]
+
+
+@pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8"])
+def test_a_point_that_is_not_finite_is_no_return(tmp_path: Path, dtype: str) -> None:
+    scan, cal = _scan((10, 1, -0.5), (12, 0, -0.5)), calibration(tmp_path)
+    expected = project_lidar(scan, cal, HEIGHT, WIDTH)
+    both = np.concatenate([_scan(*NO_RETURNS[:-1]), scan]).astype(dtype)
+    assert np.array_equal(project_lidar(both, cal, HEIGHT, WIDTH), expected)
+    masked = np.ma.array(_scan((5, 0, 0), (10, 1, -0.5), (12, 0, -0.5)), mask=False)
+    masked[0, 2] = np.ma.masked
+    assert np.array_equal(project_lidar(masked, cal, HEIGHT, WIDTH), expected)
+    (tmp_path / "a.bin").write_bytes(both.astype("<f4").tobytes())
+    assert np.array_equal(read_velodyne(tmp_path / "a.bin"), scan)
+
+
+def test_points_at_any_distance_give_depth_or_none(tmp_path: Path) -> None:
+    cal = calibration(tmp_path, R0_rect=rotation("x", 1.0))
+    distances = [0.27 + 1e-5, 0.27 + 2e-4, 1e10, 1e30, 3e38, 1e300]
+    for x in distances:
+        depth = project_lidar(np.array([[x, 0.0, -0.08 - 0.02 * x]]), cal, HEIGHT, WIDTH)
+        assert np.isfinite(depth).all()
+        assert not ((depth > 0) & (depth < 1e-4)).any()
+
+
 BAD_FILES = {
     "truncated": (b"\0" * 30, "16 bytes, found 30 bytes"),
     "empty": (b"", "found 0 bytes"),
-    "NaN": (np.array([1, np.nan, 0, 0], "<f4").tobytes(), "finite"),
+    "nothing but NaN": (np.array([1, np.nan, 0, 0], "<f4").tobytes(), "finite"),
 }
 
 

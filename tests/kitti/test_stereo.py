@@ -16,7 +16,7 @@ from nimprep.kitti.images import read_ground_truth
 from nimprep.kitti.layout import RoadFiles
 from nimprep.kitti.stereo import match_stereo, stereo_depth
 
-from .scenes import BASELINE_M, FX, calibration, noise
+from .scenes import BASELINE_M, FX, MATRICES, calibration, noise
 
 
 def _texture(height: int, width: int) -> np.ndarray:
@@ -51,6 +51,28 @@ def test_a_slanted_wall_has_its_own_disparity_at_each_column() -> None:
     assert found[:, 100:].all(axis=0).mean() > 0.5
     # A result one column aside would be off by 0.15.
     assert abs(np.median(off)) < 0.07
+
+
+def test_cameras_the_wrong_way_round_are_refused(tmp_path: Path) -> None:
+    left, right = _pair(20)
+    swapped = calibration(tmp_path, P2=MATRICES["P3"], P3=MATRICES["P2"])
+    with pytest.raises(DecodeError, match=r"000000\.txt: .*found a baseline of -0\.54 m"):
+        stereo_depth(left, right, swapped)
+
+
+@pytest.mark.parametrize("change", ["grey", "float", "masked", "empty"])
+def test_what_is_no_colour_image_is_refused(change: str) -> None:
+    left, right = _pair(20)
+    wrong = {
+        "grey": left[..., 0],
+        "float": left / 255,
+        "masked": np.ma.masked_equal(left, left[0, 0, 0]),
+        "empty": left[:0],
+    }[change]
+    with pytest.raises(ArrayError, match=r"^left: expected "):
+        match_stereo(wrong, right)
+    with pytest.raises(ArrayError, match=r"^right: expected "):
+        match_stereo(left, wrong)
 
 
 def test_depth_is_focal_length_times_baseline_over_disparity(tmp_path: Path) -> None:

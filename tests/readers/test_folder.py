@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -107,16 +108,52 @@ def test_metres_in_a_float_file_read_as_millimetres_are_refused(tmp_path: Path) 
         described(root, path).read("kitchen/0")
 
 
-@pytest.mark.parametrize("bad", [-1.0, np.inf])
-def test_depth_that_cannot_be_is_refused(tmp_path: Path, bad: float) -> None:
-    root, path = write_nyu_like(tmp_path / "nyu", depth={"files": "m/{id}.npy", "scale_m": 1.0})
+def with_float_depth(tmp_path: Path, array: np.ndarray, suffix: str, scale_m: float) -> Reader:
+    """Return a reader of frames whose depth is this array in a file of floats."""
+    depth = {"files": f"m/{{id}}{suffix}", "scale_m": scale_m, "invalid": [-9999]}
+    root, path = write_nyu_like(tmp_path / "nyu", depth=depth)
     for frame_id in ("kitchen/0", "kitchen/1", "office/0", "office/1"):
-        array = np.full((24, 32), 2.5)
-        array[3, 3] = bad
-        (root / "m" / frame_id).parent.mkdir(parents=True, exist_ok=True)
-        np.save(root / "m" / f"{frame_id}.npy", array)
-    with pytest.raises(DecodeError, match="finite depth >= 0"):
-        described(root, path).read("kitchen/0")
+        file = root / "m" / f"{frame_id}{suffix}"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if suffix == ".npy":
+            np.save(file, array)
+        else:
+            assert cv2.imwrite(str(file), array)
+    return described(root, path)
+
+
+@pytest.mark.parametrize("scale_m", [1.0, 0.001, 0.0123])
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [
+        *((".npy", dtype) for dtype in ("<f2", "<f4", ">f4", "<f8", ">f8")),
+        *((".tiff", dtype) for dtype in ("<f4", "<f8")),
+        (".pfm", "<f4"),
+    ],
+)
+def test_nan_infinity_and_what_is_far_too_small_are_no_depth(
+    tmp_path: Path, suffix: str, dtype: str, scale_m: float
+) -> None:
+    metres = np.full((24, 32), 2.5)
+    none = [0.0, -0.0, np.nan, -np.nan, np.inf, -np.inf, 1e-20, 0.00005, -9999 * scale_m]
+    metres[3, : len(none)] = none
+    with np.errstate(over="ignore"):
+        reader = with_float_depth(tmp_path, (metres / scale_m).astype(dtype), suffix, scale_m)
+    depth_m = reader.read("kitchen/0").depth_m
+    assert depth_m is not None
+    assert not depth_m[3, : len(none)].any()
+    assert np.count_nonzero(depth_m) == depth_m.size - len(none)
+    assert np.allclose(depth_m[depth_m > 0], 2.5, rtol=2e-3 if dtype == "<f2" else 1e-6)
+
+
+@pytest.mark.parametrize("value", [-1.0, -1e-30, -3e38])
+def test_a_negative_depth_is_refused_by_its_pixel(tmp_path: Path, value: float) -> None:
+    array = np.full((24, 32), 2.5)
+    array[3, 5], array[4, 1] = value, value
+    reader = with_float_depth(tmp_path, array, ".npy", 1.0)
+    expected = rf"0\.npy: .*>= 0, found {value:g} at pixel \(u, v\) = \(5, 3\), one of 2 negative"
+    with pytest.raises(DecodeError, match=expected.replace("+", r"\+")):
+        reader.read("kitchen/0")
 
 
 def test_one_camera_can_stand_in_the_description(tmp_path: Path) -> None:

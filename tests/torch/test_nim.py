@@ -86,13 +86,37 @@ def test_each_frame_of_a_batch_has_its_own_camera():
         np.testing.assert_allclose(found[i], estimate_normals(scene(i), camera), atol=1e-4)
 
 
-def test_what_is_no_positive_number_is_no_depth():
+NONE = (np.nan, -np.nan, np.inf, -np.inf, -2.0, 1e-45, 1e-20, 9.9e-5, -1e-20)
+
+
+@pytest.mark.parametrize("value", NONE)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_what_is_no_depth_gives_no_normal_and_no_gradient(value, dtype):
     whole = with_holes(scene(), 0.2)
-    marked = whole.copy()
-    holes = np.argwhere(whole == 0)
-    for (v, u), value in zip(holes, (np.nan, np.inf, -np.inf, -2.0), strict=False):
-        marked[v, u] = value
-    assert torch.equal(NIM()(*batch(marked)), NIM()(*batch(whole)))
+    marked = np.where(whole == 0, value, whole.astype(np.float64))
+    depth, k = batch(whole)
+    odd = torch.from_numpy(marked)[None, None].to(dtype).requires_grad_()
+    found, expected = NIM()(odd, k), NIM()(depth.to(dtype), k)
+    assert torch.equal(found, expected)
+    with torch.autograd.set_detect_anomaly(True):
+        (found * torch.linspace(-1, 1, found.numel()).reshape(found.shape)).sum().backward()
+    assert torch.isfinite(odd.grad).all()
+    assert not odd.grad[depth == 0].any()
+
+
+def test_depth_is_where_the_kernel_has_it_and_normals_are_finite_whatever_it_is():
+    least = np.float32(1e-4)
+    values = [0, np.nextafter(least, np.float32(0)), least, 1e-3, 1, 1e10, 1e20, 1e30, 3.4e38]
+    depth = np.random.default_rng(0).choice(np.array(values, np.float32), CAMERA.shape)
+    some = estimate_normals(depth, CAMERA).any(axis=-1)
+    for dtype in (torch.float32, torch.float64):
+        odd, k = batch(depth)
+        odd = odd.to(dtype).requires_grad_()
+        found = NIM()(odd, k)
+        assert np.array_equal(found.detach().numpy()[0].any(axis=0), some)
+        assert torch.isfinite(found).all()
+        found.sum().backward()
+        assert torch.isfinite(odd.grad).all()
 
 
 @FILTERS

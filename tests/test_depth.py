@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nimprep.arrays import LEAST_DEPTH_M
-from nimprep.derive.depth import checked_depth, checked_plane
+from nimprep.depth import checked_depth, checked_plane
 from nimprep.errors import ArrayError
 
 BELOW = float(np.nextafter(np.float32(LEAST_DEPTH_M), np.float32(0)))
