@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.arrays import without_mask
 from nimprep.camera import Camera
 from nimprep.errors import CameraError, DecodeError
 from nimprep.files import read_file
@@ -74,11 +75,13 @@ class Calibration:
         ------
         DecodeError
             The file lacks it.
+        ArrayError
+            It does not come from a file, and a part is masked.
         """
         if name not in self.matrices:
             found = ", ".join(self.matrices) or "none"
             raise DecodeError(f"{self.path}: expected the matrix {name}, found only {found}")
-        return self.matrices[name]
+        return np.asarray(without_mask(self.matrices[name], name), dtype=np.float64)
 
     @property
     def intrinsics(self) -> Matrix:
