@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-GRACE_S = 10
-"""How long a process that a test left may take to end by itself."""
+GRACE_S = 60
+"""How long a process that a test left may take to end by itself, as one whose pipe was closed."""
 
 _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux's prctl
 

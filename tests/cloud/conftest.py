@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
+import socket
 import subprocess
 import sys
 import threading
@@ -17,9 +18,12 @@ from pathlib import Path
 import pytest
 
 import nimprep
+from nimprep.conversion import object_lock
 from nimprep.store import connection, objects
+from tests.cloud.clock import Clock
 from tests.cloud.server import BUCKET, VARIABLES, FolderHandler, Proxy, Server
 from tests.fakes import contents, write_gmrp
+from tests.processes import Processes
 
 SERVE = """
 import json, logging, sys
@@ -37,16 +41,15 @@ CAMERA = (30.0, 31.0, 15.0, 11.0)
 @pytest.fixture(scope="session")
 def port() -> Iterator[int]:
     """Start the server; return its port."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    _, found = json.loads(process.stdout.readline())
-    make = urllib.request.Request(f"http://127.0.0.1:{found}/{BUCKET}", method="PUT")
-    urllib.request.urlopen(make).close()
-    yield found
-    process.kill()
-    process.communicate()
+    with Processes() as processes:
+        process = processes.start(
+            [sys.executable, "-c", SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout is not None
+        _, found = json.loads(process.stdout.readline())
+        make = urllib.request.Request(f"http://127.0.0.1:{found}/{BUCKET}", method="PUT")
+        urllib.request.urlopen(make).close()
+        yield found
 
 
 @pytest.fixture
@@ -59,6 +62,22 @@ def proxy(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Proxy]:
     monkeypatch.setattr(connection, "BACKOFF_S", 0.001)
     yield made
     made.close()
+
+
+@pytest.fixture
+def nobody() -> Iterator[str]:
+    """Return an address at which nobody answers, nor can begin to."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Return the clock by which locks grow stale."""
+    made = Clock()
+    monkeypatch.setattr(object_lock, "time", made)
+    return made
 
 
 _numbers = itertools.count()

@@ -8,7 +8,6 @@ import re
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -41,7 +40,7 @@ Fault = Callable[[Request], str | None]
 """Says what happens to a request: None, "503", "500", "reset", "cut", "lost" or "stall".
 
 "reset" closes the connection before the server sees the request, "lost" after; "cut" in the middle
-of the answer; "stall" never answers.
+of the answer; "stall" does not answer.
 """
 
 
@@ -59,6 +58,7 @@ class Proxy:
         self.requests: list[Request] = []
         self.spoilt: list[Request] = []
         self.fault: Fault = lambda request: None
+        self.closing = threading.Event()
         self._server = Server(("127.0.0.1", 0), _handler(self, port))
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,))
@@ -70,6 +70,7 @@ class Proxy:
 
     def close(self) -> None:
         """Stop."""
+        self.closing.set()
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -93,7 +94,7 @@ def _handler(proxy: Proxy, port: int) -> type[BaseHTTPRequestHandler]:
             if fault == "reset":
                 return self._hang_up()
             if fault == "stall":
-                time.sleep(30)
+                proxy.closing.wait()
                 return self._hang_up()
             if fault and fault.isdigit():
                 return self._answer(int(fault), {}, b"<Error><Code>Spoilt</Code></Error>")

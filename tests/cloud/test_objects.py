@@ -3,6 +3,7 @@
 import http.client
 import os
 import pickle
+import random
 import sys
 import threading
 import time
@@ -17,8 +18,9 @@ from nimprep.store.location import location_from
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage, Storage
 from tests.cloud.server import Proxy, Request
+from tests.processes import PATIENCE_S
 
-BIG = os.urandom(objects.PART_BYTES + 12345)
+BIG = random.Random(0).randbytes(objects.PART_BYTES + 12345)
 
 
 @pytest.fixture(params=["folder", "bucket"])
@@ -157,11 +159,11 @@ def test_a_server_that_fails_for_good_is_given_up(
     assert len(proxy.spoilt) == 4
 
 
-def test_nobody_at_the_address_is_said(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-    with pytest.raises(
-        StoreError, match=r"expected an answer of http://127\.0\.0\.1:9, found .*8 r"
-    ):
+def test_nobody_at_the_address_is_said(
+    url: str, nobody: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", nobody)
+    with pytest.raises(StoreError, match=rf"expected an answer of {nobody}, found .*8 r"):
         ObjectStorage(url).read("a")
 
 
@@ -192,7 +194,7 @@ def in_a_fork(work) -> int:  # type: ignore[no-untyped-def]
     """Return the exit code of a forked process that does some work, which must not hang."""
     process = os.fork()
     if process == 0:
-        threading.Timer(30, os._exit, (2,)).start()
+        threading.Timer(PATIENCE_S, os._exit, (2,)).start()
         os._exit(0 if work() else 1)
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
