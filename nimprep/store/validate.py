@@ -198,6 +198,8 @@ def check_arrays(store: Store, report: Report) -> None:
                 report.count("shards")
                 if report.full:
                     return
+    if store.tables.chunk_crc32c is not None:
+        report.count("checksums", store.tables.chunk_crc32c.size)
 
 
 def _attributes(storage: Storage, name: str, spec: ArraySpec, *, table: bool) -> dict[str, Any]:

@@ -95,7 +95,9 @@ def test_a_shard_of_another_version_is_noticed_at_the_first_read(
         assert f"frame '{2 * number:06d}'" in problems[0]
         shutil.copy(shard(versions[0], name, number), shard(store, name, number))
     assert readable(store, name) == [True] * FRAMES
-    assert validate_store(store).problems == []
+    report = validate_store(store)
+    assert report.problems == []
+    assert report.checks["checksums"] == FRAMES * len(IMAGES)
 
 
 @pytest.mark.parametrize("name", IMAGES)
