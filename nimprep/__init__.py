@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nimprep.camera import Camera as Camera
+    from nimprep.compilation.warmup import warm_up as warm_up
     from nimprep.conversion.append import AppendOptions as AppendOptions
     from nimprep.conversion.append import append_frames as append_frames
     from nimprep.conversion.merge import merge_stores as merge_stores
@@ -59,6 +60,7 @@ _HOME = {
     "restore_disparity": "nimprep.derive.road_profile",
     "road_plane": "nimprep.derive.elevation",
     "transform_disparity": "nimprep.derive.road_profile",
+    "warm_up": "nimprep.compilation.warmup",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -45,5 +45,9 @@ class ClusterError(NimprepError, ConnectionError):
     """A Dask cluster is out of reach, or its workers cannot do the work."""
 
 
+class CacheError(NimprepError, OSError):
+    """Compiled kernels cannot be kept anywhere."""
+
+
 class SplitError(NimprepError, ValueError):
     """A split file or rule does not fit the frames."""

@@ -32,6 +32,7 @@ _COMMANDS = {
     "view": ("nimprep.cli.view", "Browse every frame of a store in the browser, on this machine."),
     "synth": ("nimprep.cli.synth", "Make a synthetic dataset in GMRP's layout."),
     "demo": ("nimprep.cli.synth", "Try it all on data made on the spot."),
+    "warm-up": ("nimprep.cli.warmup", "Compile every kernel now, as when an image is built."),
     "kitti": ("nimprep.cli.kitti", "KITTI road: depth, bird's-eye view, scores, submission."),
 }
 """Each command's module, imported when it is called, and its line in the help."""
@@ -46,7 +47,8 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        command: click.Command = getattr(importlib.import_module(_COMMANDS[cmd_name][0]), cmd_name)
+        module = importlib.import_module(_COMMANDS[cmd_name][0])
+        command: click.Command = getattr(module, cmd_name.replace("-", "_"))
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

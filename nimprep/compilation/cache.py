@@ -51,11 +51,14 @@ class KernelCache:
         Module and name of the kernel.
     loaded, compiled : int
         Signatures that were found, and that were not.
+    folders : list of Path or None
+        Where each of them is kept; None = nowhere.
     """
 
     def __init__(self, function: Callable[..., Any], options: str) -> None:
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.loaded = self.compiled = 0
+        self.folders: list[Path | None] = []
         self._options = options
         self._sources = source_digest(function.__module__)
 
@@ -73,6 +76,7 @@ class KernelCache:
             body = _read(folder / name, identity)
             if body is not None:
                 self.loaded += 1
+                self.folders.append(folder)
                 return _compiler.CompileResult._rebuild(target_context, *pickle.loads(body))
         self.compiled += 1
         return None
@@ -80,14 +84,15 @@ class KernelCache:
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep what was compiled for a signature, where there is a place for it."""
         folder = FOLDERS.to_write
-        if folder is None:
-            return
-        name, identity = self._key(signature, result.codegen)
-        body = _serialize.dumps(result._reduce())
-        try:
-            _write(folder / name, identity + hashlib.sha256(body).digest() + body)
-        except OSError as error:
-            FOLDERS.note_failure(folder / name, error)
+        if folder is not None:
+            name, identity = self._key(signature, result.codegen)
+            body = _serialize.dumps(result._reduce())
+            try:
+                _write(folder / name, identity + hashlib.sha256(body).digest() + body)
+            except OSError as error:
+                FOLDERS.note_failure(folder / name, error)
+                folder = None
+        self.folders.append(folder)
 
     def _key(self, signature: Any, codegen: Any) -> tuple[str, bytes]:
         """Return the file's name, and the digest of all that what was compiled depends on."""

@@ -78,6 +78,11 @@ class CacheFolders:
                 return
 
     @property
+    def wished(self) -> Path | None:
+        """The folder within NUMBA_CACHE_DIR; None where that is not set."""
+        return self._places[0].folder if _wished() else None
+
+    @property
     def to_write(self) -> Path | None:
         """The folder to write to; None = there is none, and kernels are compiled in every run."""
         if not self._decided:
@@ -96,9 +101,9 @@ class CacheFolders:
         if not found or (lasting and not _wished()):
             return
         instead = (
-            "each run compiles them anew, which takes half a minute"
+            "those missing are compiled in each run, which takes up to half a minute"
             if self._chosen is None
-            else f"they are kept in {self._chosen}"
+            else f"those missing are kept in {self._chosen}"
         )
         _say(
             f"compiled kernels: expected a folder to keep them in, found no way to write to "
@@ -109,7 +114,7 @@ class CacheFolders:
         """Say that a kernel could not be kept."""
         _say(
             f"{path}: expected to keep a compiled kernel there, found {error.strerror or error}; "
-            "each run compiles it anew; set NUMBA_CACHE_DIR to another folder"
+            "it is compiled in each run; set NUMBA_CACHE_DIR to another folder"
         )
 
 

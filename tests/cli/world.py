@@ -91,6 +91,7 @@ CALLS = {
     "view": [Call(("view", S, "--port", "0"))],
     "synth": [Call(("synth", NEW, "--frames", "1", "--size", "32x24"), "folder")],
     "demo": [Call(("demo", NEW), "folder")],
+    "warm-up": [Call(("warm-up",))],
     "kitti depth": [Call(("kitti", "depth", Path("road"), NEW), "files")],
     "kitti bev": [Call(("kitti", "bev", MAPS, NEW, "--calib", CALIB), "files")],
     "kitti evaluate": [Call(KITTI_EVALUATE), Call((*KITTI_EVALUATE, "--json"))],

@@ -106,7 +106,7 @@ def test_the_temporary_folder_is_the_users_alone_and_found_again(home: Path) -> 
     block(home / "nimprep" / "compilation")
     for _ in range(2):
         os.environ.pop(SAID, None)
-        with pytest.warns(UserWarning, match="they are kept in"):
+        with pytest.warns(UserWarning, match="those missing are kept in"):
             found = CacheFolders(folders._places).to_write
         assert found is not None
         assert found.parent == private(home)
@@ -130,7 +130,7 @@ def test_a_temporary_folder_that_another_could_have_made_is_neither_read_nor_wri
     else:
         private(home).symlink_to(other if trap == "link" else home / "nowhere")
     found = CacheFolders(folders._places)
-    with pytest.warns(UserWarning, match="compiles them anew"):
+    with pytest.warns(UserWarning, match="compiled in each run"):
         assert found.to_write is None
     assert not any(path.is_relative_to(home / "temporary") for path in found.to_read())
     assert not list(other.iterdir())
