@@ -87,7 +87,7 @@ def test_commands_do_what_they_do_elsewhere_and_say_one_line(
         (converted("here.zarr"), 1),
         ((*CLI, "validate", "here.zarr", "--deep"), 1),
         ((*CLI, "info", "here.zarr"), 0),  # needs no kernel
-        ((*CLI, "report", "here.zarr", "report.html"), 1),
+        ((*CLI, "report", "here.zarr", "report.html"), 0),  # needs no kernel either
     ):
         done = installed.run(*arguments, temporary="temporary")
         assert done.returncode == 0, done.stderr
@@ -113,7 +113,7 @@ def test_a_named_folder_that_cannot_be_written_to_is_said_and_done_without(
 ) -> None:
     for name in ("locked", "locked/within", "world/raw.json", "nowhere\x01/\udc80"):
         folder = filled.root / name
-        done = filled.run(*CLI, "validate", "s.zarr", temporary="other", cache_dir=folder)
+        done = filled.run(*CLI, "validate", "s.zarr", "--deep", temporary="other", cache_dir=folder)
         assert done.returncode == 0, done.stderr
         assert said(done.stderr) == 1
         assert ": valid" in done.stdout
@@ -124,12 +124,19 @@ def test_a_named_folder_that_cannot_be_written_to_is_said_and_done_without(
     assert "Traceback" not in failed.stderr
 
 
-def test_with_nowhere_to_write_at_all_a_sound_store_is_valid(installed: Installation) -> None:
-    occupied = installed.root / "occupied"
+def test_with_nowhere_to_write_at_all_a_sound_store_is_valid(filled: Installation) -> None:
+    occupied = filled.root / "occupied"
     occupied.mkdir()
     for user in (65534, 0):
         (occupied / f"nimprep-{user}").touch()
-    done = installed.run(*CLI, "validate", "s.zarr", temporary="occupied")
+    # Some of what it needs: to compile everything takes a minute.
+    filled.in_tree.chmod(0o755)
+    lost = list(filled.in_tree.glob("nimprep.kernels.quantisation.*"))
+    assert lost
+    for file in lost:
+        file.unlink()
+    filled.in_tree.chmod(0o555)
+    done = filled.run(*CLI, "validate", "s.zarr", "--deep", temporary="occupied")
     assert done.returncode == 0, done.stderr
     assert "compiled in each run" in done.stderr
     assert said(done.stderr) == 1
