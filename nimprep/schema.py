@@ -36,11 +36,14 @@ def load_schema(name: str) -> dict[str, Any]:
 
 
 @cache
-def _validator(name: str) -> Any:
+def _validator(name: str, part: str | None = None) -> Any:
     from jsonschema import Draft202012Validator
     from jsonschema.validators import extend
 
-    return extend(Draft202012Validator, {"items": _items})(load_schema(name))
+    schema = load_schema(name)
+    if part is not None:
+        schema = {**schema["properties"][part], "$defs": schema.get("$defs", {})}
+    return extend(Draft202012Validator, {"items": _items})(schema)
 
 
 def _items(validator: Any, items: Any, instance: Any, schema: Any) -> Iterator[Any]:
@@ -60,12 +63,12 @@ def _items(validator: Any, items: Any, instance: Any, schema: Any) -> Iterator[A
         yield from validator.descend(item, items, path=place)
 
 
-def schema_problems(document: Any, name: str) -> list[str]:
+def schema_problems(document: Any, name: str, part: str | None = None) -> list[str]:
     """Return what is wrong with a document by a schema, a line each; empty = nothing.
 
-    At most `MAX_PROBLEMS` lines.
+    At most `MAX_PROBLEMS` lines. With `part`, the document is the property of that name alone.
     """
-    found = islice(_validator(name).iter_errors(document), MAX_PROBLEMS)
+    found = islice(_validator(name, part).iter_errors(document), MAX_PROBLEMS)
     # jsonschema quotes the whole instance; a line must stay readable.
     return [
         f"{_shortened(error.json_path)}: {_shortened(error.message)}"

@@ -41,6 +41,11 @@ def _modalities(
     return names
 
 
+def _listed(*, on_request: bool) -> str:
+    names = (name for name, m in MODALITIES.items() if m.on_request == on_request)
+    return ",".join(names).replace("_", "-")
+
+
 @click.command()
 @click.argument("src", type=click.Path())
 @click.argument("out", type=click.Path())
@@ -55,8 +60,8 @@ def _modalities(
 @click.option(
     "--modalities",
     callback=_modalities,
-    help="Comma-separated; default: rgb,depth,normal,hha,label as far as there are; by name only: "
-    "disparity,transformed-disparity,elevation.",
+    help=f"Comma-separated; default: {_listed(on_request=False)} as far as there are; by name "
+    f"only: {_listed(on_request=True)}.",
 )
 @click.option(
     "--normals",

@@ -14,6 +14,7 @@ from nimprep.errors import LayoutError, StoreError
 from nimprep.modality import MODALITIES, Modality, sources_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
+from nimprep.schema import schema_problems
 from nimprep.splits import SplitName, assign_splits, splits_from_file
 from nimprep.store.location import location_from
 from nimprep.store.spec import FORMAT_VERSION
@@ -52,32 +53,51 @@ def local_folder(place: Path | str, task: str) -> Path:
     return found
 
 
-def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
-    """Fix the store's shape from the frames' headers and the options.
+def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
+    """Choose what to store, in the order in which it is listed everywhere.
 
     Raises
     ------
     LayoutError
         A modality is asked for that there is not.
+    StoreError
+        The store could not be opened: its attributes' schema does not know a modality.
     """
     given = {"rgb", "depth", *(["label"] if reader.info.classes else [])}
     available = [name for name in MODALITIES if sources_of([name]) <= given]
-    asked = options.modalities or tuple(
-        name for name in available if not MODALITIES[name].on_request
-    )
+    asked = options.modalities or tuple(n for n in available if not MODALITIES[n].on_request)
     for name in asked:
         if name not in available:
             hint = "" if reader.info.classes else "; it has no labels here"
             raise LayoutError(
                 f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}"
             )
+    chosen = {n: m.as_dtype(options.normal_dtype) for n, m in MODALITIES.items() if n in asked}
+    described = describe_modalities(chosen.values(), options.recipe)
+    if problems := schema_problems(described, "store", "modalities"):
+        raise StoreError(
+            "schemas/store.schema.json: expected it to describe the modalities of the store, "
+            f"found {problems[0]}; describe them there"
+        )
+    return tuple(chosen)
+
+
+def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
+    """Fix the store's shape from the frames' headers and the options.
+
+    Raises
+    ------
+    LayoutError, StoreError
+        As `plan_modalities`.
+    """
+    modalities = plan_modalities(reader, options)
     shapes = frame_shapes(reader, skip_bad=options.on_error == "skip")
     return StoreLayout(
         frames=len(reader.ids),
         height=max(height for height, _ in shapes),
         width=max(width for _, width in shapes),
-        modalities=tuple(m for m in MODALITIES if m in asked),
-        classes=reader.info.classes if "label" in asked else (),
+        modalities=modalities,
+        classes=reader.info.classes if "label" in modalities else (),
         normal_dtype=options.normal_dtype,
         codec=options.codec,
         shard_length=options.shard_length,

@@ -16,7 +16,7 @@ from nimprep.conversion.local import encode_units as encode_units_here
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.packing import forget_packing, is_packed, pack_shards
-from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_splits
+from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_modalities, plan_splits
 from nimprep.conversion.records import UnitRecord, depth_percentiles, source_digest, tables
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import Workspace
@@ -70,7 +70,8 @@ def convert(
     SplitError
         The split rule or file does not fit the frames.
     StoreError
-        The target cannot be written, must not be, or holds the beginning of another conversion.
+        The target cannot be written, must not be, or holds the beginning of another conversion; or
+        a modality could be stored but not read.
     """
     options = replace(options or ConvertOptions(), **changes)
     if is_url(source):
@@ -84,7 +85,8 @@ def convert(
 
         check_scheduler(options.scheduler)
     reader = open_reader(source, options.reader, options.reading)
-    # Splits are made before anything is written: a wrong split file must not cost a conversion.
+    # Before anything is written: what is wrong with these must not cost a conversion.
+    plan_modalities(reader, options)
     plan_splits(reader, options, reader.ids)
     with workspace_at(storage, overwrite=options.overwrite) as workspace:
         run = Run(source, reader, options, workspace, Journal(workspace.journal, str(storage)))
