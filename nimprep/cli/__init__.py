@@ -10,6 +10,7 @@ import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 import click
@@ -79,6 +80,10 @@ class _LazyGroup(click.Group):
                 return super().invoke(ctx)
         except NimprepError as error:
             fail("; ".join((str(error), *getattr(error, "__notes__", ()))))
+        except FileNotFoundError:
+            if not _directory_is_gone():
+                raise
+            fail("working directory: expected one that is there, found it deleted; change to one")
         except KeyboardInterrupt as error:
             notes = getattr(error, "__notes__", ())
             echo("; ".join(("interrupted", *notes)), err=True)
@@ -93,6 +98,15 @@ def _clean_usage() -> Iterator[None]:
     except click.ClickException as error:
         click.ClickException.__init__(error, printable(error.message))
         raise
+
+
+def _directory_is_gone() -> bool:
+    """Tell whether the directory that relative paths start from was deleted."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def _while_printing(error: OSError) -> bool:

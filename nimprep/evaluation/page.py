@@ -11,6 +11,7 @@ from nimprep.evaluation.comparison import DIGITS, HEADS, Comparison, Method
 from nimprep.evaluation.overlays import draw_frames, worst_frames
 from nimprep.evaluation.scores import MEASURES, Evaluation
 from nimprep.files import write_whole
+from nimprep.folders import place_of
 from nimprep.parallel import Progress
 from nimprep.report.page import render_page
 from nimprep.store.reader import Store, open_store
@@ -49,7 +50,7 @@ def write_page(
     ids = worst_frames(found)
     drawn = draw_frames(store, found, ids[:worst], progress)
     context = {
-        "name": printable(Path(store.path).name),
+        "name": printable(place_of(Path(store.path)).name),
         "dataset": printable(str(store.attributes["dataset"])),
         "split": found.first.split,
         "frames": len(found.first.frames),

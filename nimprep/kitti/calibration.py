@@ -19,6 +19,7 @@ from nimprep.arrays import without_mask
 from nimprep.camera import Camera
 from nimprep.errors import CameraError, DecodeError
 from nimprep.files import read_file
+from nimprep.folders import place_of
 
 Matrix = npt.NDArray[np.float64]
 
@@ -212,7 +213,8 @@ def frame_shape(calibration: Calibration) -> tuple[int, int] | None:
     """
     from nimprep.images import read_header
 
-    image = calibration.path.parent.parent / "image_2" / f"{calibration.path.stem}.png"
+    folder = place_of(calibration.path.parent).parent
+    image = folder / "image_2" / f"{calibration.path.stem}.png"
     if image.is_file():
         header = read_header(image)
         return header.height, header.width
