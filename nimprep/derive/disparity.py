@@ -17,6 +17,9 @@ from nimprep.frame import VIRTUAL_BASELINE_M
 from nimprep.kernels.planes import reciprocal
 from nimprep.parallel import run_rows
 
+_FAINT_REACH = 1e-6
+"""Pixels times metres. Divided by the largest float32, this is still one that is not 0."""
+
 
 def disparity_from_depth(
     depth_m: npt.ArrayLike,
@@ -53,9 +56,12 @@ def disparity_from_depth(
         baseline is not positive, or more than 1000 m.
     """
     depth = checked_depth(depth_m, camera)
-    # Something very far still has a disparity: none is where there is no depth, nowhere else.
-    tiny = np.finfo(np.float32).tiny
-    return _divided(_reach(camera, baseline_m), depth, tiny, tiny, num_threads)
+    reach = _reach(camera, baseline_m)
+    out = _divided(reach, depth, 0.0, num_threads)
+    if reach < _FAINT_REACH:
+        # None is where there is no depth, nowhere else.
+        np.maximum(out, np.finfo(np.float32).tiny, out=out, where=depth > 0)
+    return out
 
 
 def depth_from_disparity(
@@ -88,8 +94,7 @@ def depth_from_disparity(
         As there, of the disparity.
     """
     values = checked_plane(disparity, "disparity", "pixels", camera)
-    least, none = np.float32(LEAST_DEPTH_M), np.float32(0)
-    return _divided(_reach(camera, baseline_m), values, least, none, num_threads)
+    return _divided(_reach(camera, baseline_m), values, LEAST_DEPTH_M, num_threads)
 
 
 def _reach(camera: Camera, baseline_m: Any) -> float:
@@ -103,16 +108,13 @@ def _reach(camera: Camera, baseline_m: Any) -> float:
 
 
 def _divided(
-    reach: float,
-    values: npt.NDArray[np.float32],
-    least: np.float32,
-    otherwise: np.float32,
-    num_threads: int | None,
+    reach: float, values: npt.NDArray[np.float32], least: float, num_threads: int | None
 ) -> npt.NDArray[np.float32]:
+    """Return reach / value where that is at least so much and finite, elsewhere 0."""
     out = np.empty(values.shape, np.float32)
 
     def run(first: int, last: int) -> None:
-        reciprocal(values, first, last, reach, least, otherwise, out)
+        reciprocal(values, first, last, reach, np.float32(least), out)
 
     run_rows(run, values.shape, num_threads)
     return out

@@ -17,6 +17,8 @@ from nimprep.errors import ArrayError
 from nimprep.kernels.planes import heights
 from nimprep.parallel import run_rows
 
+_HIGHEST_M = 1e9
+
 
 def estimate_road_plane(depth_m: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:
     """Fit the road's plane to a depth image in which up to half of the road may be hidden.
@@ -120,7 +122,7 @@ def estimate_elevation(
     Raises
     ------
     ArrayError
-        As `estimate_road_plane`; or `plane` is no unit normal and height.
+        As `estimate_road_plane`; or `plane` is no unit normal and height of at most 1e9 m.
 
     References
     ----------
@@ -145,6 +147,10 @@ def _checked(plane: Any, name: str) -> npt.NDArray[np.float64]:
     if values.shape != (4,) or not np.isfinite(values).all():
         raise ArrayError(f"{name}: expected 4 finite numbers, found shape {values.shape}")
     length = math.sqrt(float(values[:3] @ values[:3]))
+    if abs(values[3]) > _HIGHEST_M:
+        raise ArrayError(
+            f"{name}: expected a height within {_HIGHEST_M:g} m, found {values[3]:g} m"
+        )
     if abs(length - 1) > 1e-3:
         raise ArrayError(f"{name}: expected a unit normal, found one of length {length:g}")
     return values

@@ -7,6 +7,7 @@ from numba import float32, int32, int64, types, void
 from nimprep.compilation.decorator import kernel
 
 _DEPTH = types.Array(float32, 2, "C", readonly=True)
+_UNLIKE = 1e6
 
 
 @kernel(int64(_DEPTH, int64[:, ::1]))
@@ -63,8 +64,9 @@ def fill_triangles(depth, points, triangles, count, first, last, out):
             continue
         area = float((vb - va) * (uc - ua) - (ub - ua) * (vc - va))
         za, zb, zc = float(depth[va, ua]), float(depth[vb, ub]), float(depth[vc, uc])
-        # Where corners are very unlike, rounding would leave their range, even below 0.
         nearest, farthest = min(za, zb, zc), max(za, zb, zc)
+        # Where corners are so unlike, rounding would leave their range, even below 0.
+        unlike = farthest > _UNLIKE * nearest
         zb -= za
         zc -= za
         slope_v = (zb * (uc - ua) - zc * (ub - ua)) / area
@@ -75,5 +77,8 @@ def fill_triangles(depth, points, triangles, count, first, last, out):
             span = _clip_span(points, c, a, v, span)
             for u in range(span[0], span[1] + 1):
                 if depth[v, u] == 0:
-                    z = za + slope_v * (v - va) + slope_u * (u - ua)
-                    out[v, u] = min(max(z, nearest), farthest)
+                    out[v, u] = za + slope_v * (v - va) + slope_u * (u - ua)
+            if unlike:
+                for u in range(span[0], span[1] + 1):
+                    if depth[v, u] == 0:
+                        out[v, u] = min(max(out[v, u], nearest), farthest)

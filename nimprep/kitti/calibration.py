@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.arrays import without_mask
-from nimprep.camera import Camera
+from nimprep.camera import MAX_BASELINE_M, Camera
 from nimprep.errors import CameraError, DecodeError
 from nimprep.files import read_file
 from nimprep.folders import place_of
@@ -115,8 +115,20 @@ class Calibration:
 
     @property
     def baseline_m(self) -> float:
-        """Distance from the image_2 to the image_3 camera along x, metres."""
-        return float(self._shift("P2")[0, 3] - self._shift("P3")[0, 3])
+        """Distance from the image_2 to the image_3 camera along x, metres.
+
+        Raises
+        ------
+        DecodeError
+            The file lacks a matrix, or image_3's camera is not to the right.
+        """
+        baseline_m = float(self._shift("P2")[0, 3] - self._shift("P3")[0, 3])
+        if not 0 < baseline_m <= MAX_BASELINE_M:
+            raise DecodeError(
+                f"{self.path}: expected P3's camera to the right of P2's, "
+                f"at most {MAX_BASELINE_M:g} m, found a baseline of {baseline_m:g} m"
+            )
+        return baseline_m
 
     @property
     def cam_to_road(self) -> Matrix:

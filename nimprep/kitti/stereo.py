@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.arrays import LEAST_DEPTH_M, without_mask
-from nimprep.errors import ArrayError, DecodeError
+from nimprep.errors import ArrayError
 from nimprep.kitti.calibration import Calibration
 
 MAX_DISPARITY = 128
@@ -123,13 +123,7 @@ def stereo_depth(
     DecodeError
         The calibration lacks a matrix, or P3's camera is not to the right of P2's.
     """
-    baseline_m = calibration.baseline_m
-    if not baseline_m > 0:
-        raise DecodeError(
-            f"{calibration.path}: expected P3's camera to the right of P2's, "
-            f"found a baseline of {baseline_m:g} m"
-        )
-    reach = np.float32(calibration.intrinsics[0, 0] * baseline_m)
+    reach = np.float32(calibration.intrinsics[0, 0] * calibration.baseline_m)
     disparity = match_stereo(left, right)
     depth_m = np.zeros_like(disparity)
     np.divide(reach, disparity, out=depth_m, where=disparity > 0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nimprep.camera import Camera
+from nimprep.camera import MAX_BASELINE_M, Camera
 from nimprep.derive.recipe import recipe_from
 from nimprep.errors import NimprepError, StoreError
 from nimprep.parallel import Progress, map_in_order
@@ -164,7 +164,7 @@ def _check_camera(store: Store, number: int, report: Report) -> None:
     if abs(camera.cx) > far or abs(camera.cy) > far or max(camera.fx, camera.fy) > 100 * far:
         report.add(f"{name}: expected a camera of its image's scale, found {camera}")
     baseline = float(store.tables.baseline[number])
-    if not (np.isnan(baseline) or 0 < baseline < np.inf):
+    if not (np.isnan(baseline) or 0 < baseline <= MAX_BASELINE_M):
         report.add(f"{name}: expected a positive baseline or NaN, found {baseline}")
     road = store.tables.cam_to_road[number]
     rotation = road[:, :3]

@@ -44,6 +44,22 @@ def test_threads_change_no_bit():
     assert np.array_equal(alone, disparity_from_depth(depth, camera, num_threads=3))
 
 
+def test_the_farthest_depth_has_a_disparity_with_the_smallest_camera_and_baseline():
+    camera = Camera(fx=1e-3, fy=1, cx=0, cy=0, width=3, height=1)
+    depth = np.array([[3.4e38, 0, 1e-4]], np.float32)
+    for baseline_m in (5e-324, 1e-6, 1e-3, 1000):
+        found = disparity_from_depth(depth, camera, baseline_m)
+        assert np.isfinite(found).all()
+        assert np.array_equal(found > 0, depth > 0)
+
+
+def test_depth_too_near_or_too_far_for_its_disparity_is_none():
+    camera = Camera(fx=100, fy=1, cx=0, cy=0, width=4, height=1)
+    disparity = np.array([[1e-38, 1e-45, 1e6, 2e7]], np.float32)
+    found = depth_from_disparity(disparity, camera, 10)
+    np.testing.assert_allclose(found, [[0, 0, 1e-3, 0]], rtol=1e-6)
+
+
 def test_nan_is_read_as_none():
     depth = DEPTH.copy()
     depth[100:110] = np.nan

@@ -127,6 +127,7 @@ ONES = np.ones((180, 240))
         (lambda: estimate_elevation(ONES, CAMERA, (0, -1, 0)), r"plane: expected 4.*\(3,\)"),
         (lambda: estimate_elevation(ONES, CAMERA, (0, -2, 0, 1)), "unit normal, found .* length 2"),
         (lambda: estimate_elevation(ONES, CAMERA, (0, np.nan, 0, 1)), "4 finite numbers"),
+        (lambda: estimate_elevation(ONES, CAMERA, (0, -1, 0, 1e300)), "within 1e.09 m, found 1e"),
         (lambda: road_plane(np.eye(3)), r"cam_to_road: expected \(3, 4\) finite"),
         (lambda: road_plane(np.zeros((3, 4))), "cam_to_road: expected a unit normal"),
     ],

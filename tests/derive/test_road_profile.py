@@ -16,6 +16,7 @@ from nimprep import (
     restore_disparity,
     transform_disparity,
 )
+from nimprep.derive.road import Road, RoadPoints, _refined, find_road
 from nimprep.errors import ArrayError
 from nimprep.kernels.road_fit import best_plane
 from nimprep.synthetic import render_frame
@@ -207,3 +208,12 @@ def test_an_image_without_a_road_is_refused(disparity):
 def test_what_makes_no_sense_is_refused(call, message):
     with pytest.raises(ArrayError, match=message):
         call()
+
+
+def test_pixels_on_one_line_are_no_road():
+    # All in the image's middle column: nothing tells its tilt.
+    y = np.linspace(-1, 1, 100)
+    points = RoadPoints(np.zeros(100), y, 3 + y, (0.0, 0.0), 1.0)
+    start = Road(0.0, np.array([3.0, 1.0, 0.0]), (0.0, 0.0))
+    assert _refined(points, start, 1.0, curved=False) is None
+    assert find_road(points, curved=True) is None

@@ -167,6 +167,17 @@ def test_autocast_and_half_precision_inputs_compute_in_float32():
     assert torch.equal(half, NIM()(depth.half().float(), k))
 
 
+def test_tensors_need_not_be_contiguous():
+    depth, k = batch(with_holes(scene(0), 0.2), scene(1))
+    expected = NIM()(depth, k)
+    turned = depth.transpose(2, 3).contiguous().transpose(2, 3)
+    wide = torch.zeros((2, 2, *depth.shape[2:]))
+    wide[:, 1:] = depth
+    for odd in (turned, wide[:, 1:], depth.to(memory_format=torch.channels_last)):
+        assert torch.equal(odd, depth)
+        assert torch.equal(NIM()(odd, k.transpose(1, 2).contiguous().transpose(1, 2)), expected)
+
+
 def test_torch_compile_takes_it_whole_with_gradients():
     depth, k = batch(with_holes(scene(), 0.2))
     layer = NIM(sign_filter=True)
