@@ -9,7 +9,7 @@ import sys
 from types import TracebackType
 from typing import Any
 
-PATIENCE_S = 120
+PATIENCE_S = 300
 """How long something may take that takes moments: then a test that would hang fails."""
 
 

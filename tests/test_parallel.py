@@ -10,6 +10,7 @@ import pytest
 
 from nimprep.errors import ArrayError
 from nimprep.parallel import in_order, map_frames, map_in_order, run_blocks
+from tests.processes import PATIENCE_S
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5, None])
@@ -44,7 +45,7 @@ def test_blocks_may_run_blocks_themselves() -> None:
 
     with ThreadPoolExecutor(4) as callers:
         for future in [callers.submit(run_blocks, outer, 8, None) for _ in range(4)]:
-            future.result(timeout=30)
+            future.result(timeout=PATIENCE_S)
     assert sorted(done) == sorted(4 * list(range(80)))
 
 

@@ -14,6 +14,7 @@ import nimprep
 from nimprep.cli import main
 from nimprep.store.info import store_info
 from tests.fakes import SIZE, write_gmrp, write_nyu_like, write_png
+from tests.processes import Processes
 
 
 def run(*arguments: object) -> Result:
@@ -243,13 +244,13 @@ def test_help_and_version_come_without_heavy_imports() -> None:
         assert f"  {name} " in done.stdout
 
 
-def read_terminal(command: list[str]) -> tuple[str, str]:
+def read_terminal(processes: Processes, command: list[str]) -> tuple[str, str]:
     """Run a command with stderr on a terminal; return what it wrote there and to stdout."""
     ours, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (24, 120))
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, text=True)
+    process = processes.start(command, stdout=subprocess.PIPE, stderr=theirs, text=True)
     os.close(theirs)
-    out, _ = process.communicate()
+    # First the terminal, which holds a few kilobytes: the slower a command, the more it draws.
     written = b""
     while True:
         try:
@@ -260,15 +261,18 @@ def read_terminal(command: list[str]) -> tuple[str, str]:
             break
         written += piece
     os.close(ours)
+    out, _ = process.communicate()
     return written.decode(), out
 
 
-def test_progress_shows_rate_and_time_left_to_a_person_alone(gmrp: Path, tmp_path: Path) -> None:
+def test_progress_shows_rate_and_time_left_to_a_person_alone(
+    gmrp: Path, tmp_path: Path, processes: Processes
+) -> None:
     command = [sys.executable, "-m", "nimprep", "convert", str(gmrp)]
-    drawn, out = read_terminal([*command, str(tmp_path / "a.zarr")])
+    drawn, out = read_terminal(processes, [*command, str(tmp_path / "a.zarr")])
     assert "converting" in drawn
     assert "5/5" in drawn
     assert "frame/s" in drawn
     assert out.startswith("store ")
-    quiet, _ = read_terminal([*command, str(tmp_path / "b.zarr"), "--quiet"])
+    quiet, _ = read_terminal(processes, [*command, str(tmp_path / "b.zarr"), "--quiet"])
     assert "converting" not in quiet

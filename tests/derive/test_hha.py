@@ -16,6 +16,7 @@ from nimprep.derive.gravity import estimate_gravity
 from nimprep.derive.hha import encode_hha
 from nimprep.errors import ArrayError
 from tests.naive import hha as naive
+from tests.processes import PATIENCE_S
 
 CAMERA = Camera(fx=90.0, fy=95.0, cx=61.5, cy=44.0, width=120, height=90)
 SMALL = Camera(fx=30.0, fy=28.0, cx=15.3, cy=10.8, width=32, height=24)
@@ -267,7 +268,7 @@ if child == 0:
     os._exit(0 if (encode_hha(depth, camera, num_threads=2) == before).all() else 1)
 raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
-    subprocess.run([sys.executable, "-c", script], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=PATIENCE_S)
 
 
 def test_millimetres_are_refused_by_name() -> None:

@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from nimprep import Camera, estimate_normals
 from nimprep.errors import ArrayError
+from tests.processes import PATIENCE_S
 
 METRES = st.one_of(
     st.just(0.0),
@@ -127,7 +128,7 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no fork there")
 def test_a_forked_process_computes_on():
-    done = subprocess.run([sys.executable, "-c", FORK], timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", FORK], timeout=PATIENCE_S, check=False)
     assert done.returncode == 0
 
 

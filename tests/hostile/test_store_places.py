@@ -24,6 +24,7 @@ from nimprep.store.validate import validate_store
 from tests.hostile.fuzzing import limited_time
 from tests.hostile.stores import document, read, sealed, show, table_file
 from tests.hostile.test_arrays import FOOTPRINT, Intruder
+from tests.processes import PATIENCE_S
 
 PROJECT = Path(__file__).resolve().parents[2]
 Damage = Callable[[Path], None]
@@ -173,7 +174,7 @@ def seen(made_store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
         cwd=PROJECT,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert result.returncode == 0, result.stderr[-3000:]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-WAIT_S = 15
+from tests.processes import PATIENCE_S
 
 
 def show(browser: Any, address: str, width: int = 1280, dark: bool = False) -> None:
@@ -28,7 +28,7 @@ def show(browser: Any, address: str, width: int = 1280, dark: bool = False) -> N
 def wait(browser: Any, script: str) -> None:
     from selenium.webdriver.support.ui import WebDriverWait
 
-    WebDriverWait(browser, WAIT_S, 0.05).until(lambda b: b.execute_script(script))
+    WebDriverWait(browser, PATIENCE_S, 0.05).until(lambda b: b.execute_script(script))
 
 
 def run(browser: Any, script: str, *arguments: object) -> Any:

@@ -22,6 +22,7 @@ import nimprep
 from nimprep.errors import NimprepError
 from nimprep.report.server import HOST, ViewServer, make_server
 from nimprep.report.store_page import examine
+from tests.processes import PATIENCE_S, Processes
 
 from .stores import gmrp_store
 
@@ -48,7 +49,7 @@ def server(store: Path) -> Iterator[ViewServer]:
 def ask(
     server: ViewServer, path: str, method: str = "GET", host: str | None = None, body: bytes = b""
 ) -> tuple[int, dict[str, str], bytes]:
-    connection = http.client.HTTPConnection(HOST, server.server_address[1], timeout=10)
+    connection = http.client.HTTPConnection(HOST, server.server_address[1], timeout=PATIENCE_S)
     try:
         connection.putrequest(method, path, skip_host=True)
         connection.putheader("Host", host or f"{HOST}:{server.server_address[1]}")
@@ -95,7 +96,7 @@ def test_head_answers_as_get_without_the_body(server: ViewServer) -> None:
         got, told = ask(server, path), ask(server, path, "HEAD")
         assert told[0] == got[0]
         assert told[1]["Content-Length"] == str(len(got[2]))
-        with socket.create_connection(server.server_address[:2], timeout=10) as connection:
+        with socket.create_connection(server.server_address[:2], timeout=PATIENCE_S) as connection:
             name = f"{HOST}:{server.server_address[1]}"
             request = f"HEAD {path} HTTP/1.1\r\nHost: {name}\r\nConnection: close\r\n\r\n"
             connection.sendall(request.encode())
@@ -155,7 +156,7 @@ def test_localhost_is_this_machine_too(server: ViewServer) -> None:
 def test_a_request_without_or_with_two_hosts_is_refused(server: ViewServer) -> None:
     good = f"Host: {HOST}:{server.server_address[1]}\r\n"
     for hosts in ("", good + "Host: evil.example\r\n"):
-        with socket.create_connection(server.server_address[:2], timeout=10) as connection:
+        with socket.create_connection(server.server_address[:2], timeout=PATIENCE_S) as connection:
             connection.sendall(f"GET / HTTP/1.1\r\n{hosts}Connection: close\r\n\r\n".encode())
             assert connection.recv(64).startswith(b"HTTP/1.1 403 ")
 
@@ -225,27 +226,27 @@ def test_a_port_in_use_is_told(server: ViewServer) -> None:
         make_server(server.seen, server.server_address[1])
 
 
-def test_the_command_says_where_and_an_interrupt_ends_it_cleanly(store: Path) -> None:
+def test_the_command_says_where_and_an_interrupt_ends_it_cleanly(
+    store: Path, processes: Processes
+) -> None:
     before = {p: p.stat().st_mtime_ns for p in store.rglob("*")}
     command = [sys.executable, "-m", "nimprep", "view", str(store), "--port", "0"]
-    process = subprocess.Popen(
+    process = processes.start(
         command,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
-    with process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        line = process.stdout.readline()
-        found = re.search(r"5 frames at http://127\.0\.0\.1:(\d+)/", line)
-        assert found, line + process.stderr.read()
-        connection = http.client.HTTPConnection(HOST, int(found[1]), timeout=10)
-        connection.request("GET", "/frame/0/rgb/small")
-        assert connection.getresponse().read()
-        connection.close()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=20) == 0
-        assert process.stderr.read() == ""
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    found = re.search(r"5 frames at http://127\.0\.0\.1:(\d+)/", line)
+    assert found, line
+    connection = http.client.HTTPConnection(HOST, int(found[1]), timeout=PATIENCE_S)
+    connection.request("GET", "/frame/0/rgb/small")
+    assert connection.getresponse().read()
+    connection.close()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, errors) == (0, "")
     assert {p: p.stat().st_mtime_ns for p in store.rglob("*")} == before
