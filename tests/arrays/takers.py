@@ -1,11 +1,9 @@
-"""Every public function that takes arrays, and arrays to hand it; and those that take none."""
+"""Every public function that takes arrays, and arrays to hand it."""
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -317,50 +315,6 @@ TAKERS = (
     *(_metric(f"{name}_per_class") for name in ("precision", "recall", "f_score", "iou")),
     _metric("pixel_accuracy"),
 )
-
-TENSORS = {
-    "nimprep.torch.NIM",
-    "nimprep.torch.Normalize",
-    "nimprep.torch.collate",
-    *(f"nimprep.torch.transforms.{name}" for name in ("crop", "flip", "jitter", "resize")),
-    *(f"nimprep.torch.transforms.Random{name}" for name in ("Crop", "HorizontalFlip", "Scale")),
-    *(f"nimprep.torch.transforms.{name}" for name in ("ColorJitter", "Compose", "Resize")),
-}
-"""What takes PyTorch's tensors: they are never masked, read-only or of another machine's bytes."""
-
-NO_ARRAYS = {
-    *(f"nimprep.{name}" for name in ("AppendOptions", "ConvertOptions", "NimprepError", "Store")),
-    *(f"nimprep.{name}" for name in ("append_frames", "convert", "merge_stores", "open_store")),
-    *("nimprep.RoadProfile", "nimprep.torch.Scaling"),
-    *("nimprep.torch.StoreDataset", "nimprep.torch.StoreLoader"),
-    *(f"nimprep.kitti.read_{name}" for name in ("calibration", "velodyne")),
-    *(f"nimprep.kitti.write_{name}" for name in ("depth", "overlays")),
-    *(f"nimprep.kitti.{n}" for n in ("evaluate_predictions", "pack_submission")),
-    "nimprep.kitti.transform_folder",
-    "nimprep.metrics.PrecisionRecallCurve",
-}
-"""What takes files, stores and plain numbers."""
-
-MODULES = (
-    "nimprep",
-    "nimprep.kitti",
-    "nimprep.metrics",
-    "nimprep.torch",
-    "nimprep.torch.transforms",
-)
-
-
-def public_names() -> set[str]:
-    """Return the public functions and classes of the package's public modules."""
-    found = set()
-    for name in MODULES:
-        module = import_module(name)
-        own = [n for n, m in vars(module).items() if getattr(m, "__module__", "") == name]
-        for public in getattr(module, "__all__", [n for n in own if not n.startswith("_")]):
-            member = getattr(module, public)
-            if inspect.isfunction(member) or inspect.isclass(member):
-                found.add(f"{name}.{public}")
-    return found
 
 
 def leaves(result: Any) -> list[Array]:

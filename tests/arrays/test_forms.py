@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from pkgutil import iter_modules, resolve_name
 from typing import Any
@@ -14,17 +15,8 @@ import pytest
 import nimprep.kernels
 from nimprep.compilation.decorator import KERNELS
 from nimprep.errors import NimprepError
-from tests.arrays.takers import (
-    NO_ARRAYS,
-    REFUSED,
-    TAKERS,
-    TENSORS,
-    Argument,
-    Array,
-    Taker,
-    leaves,
-    public_names,
-)
+from tests.arrays.names import NO_ARRAYS, TENSORS, functions_elsewhere, public_names
+from tests.arrays.takers import REFUSED, TAKERS, Argument, Array, Taker, leaves
 from tests.derive.roads import CAMERA
 
 
@@ -94,9 +86,17 @@ def test_every_public_function_is_told_to_take_arrays_or_none() -> None:
     takers = {taker.function for taker in TAKERS}
     told = takers | TENSORS | NO_ARRAYS
     unknown = public_names() - told
-    assert not unknown, f"say in tests/arrays/takers.py which arrays these take: {sorted(unknown)}"
+    assert not unknown, f"say in tests/arrays which arrays these take: {sorted(unknown)}"
     assert told == public_names()
     assert not takers & TENSORS | takers & NO_ARRAYS | TENSORS & NO_ARRAYS
+
+
+def test_the_other_rooms_public_functions_take_no_arrays() -> None:
+    functions = functions_elsewhere()
+    assert len(functions) > 10
+    for name, function in functions.items():
+        taken = [str(p.annotation) for p in signature(function).parameters.values()]
+        assert not any("Array" in t for t in taken), f"{name}: add it to tests/arrays/takers.py"
 
 
 @pytest.mark.parametrize("form", list(FORMS))

@@ -210,6 +210,14 @@ def test_nan_is_a_hole_and_read_only_arrays_are_read() -> None:
     np.testing.assert_array_equal(fill_depth(depth, "linear")[0], expected)
 
 
+def test_an_image_too_long_for_the_triangulations_integers_is_refused() -> None:
+    depth = np.ones((2, 920_000), np.float32)
+    depth[0, 5] = 0
+    with pytest.raises(ArrayError, match=r"smaller image for 'linear', found 920000x2"):
+        fill_depth(depth, "linear")
+    assert fill_depth(depth, "nearest")[0].all()
+
+
 def test_an_unknown_method_is_named() -> None:
     with pytest.raises(ArrayError, match=r"expected one of nearest, linear.*found 'cubic'"):
         fill_depth(slope(), "cubic")

@@ -155,8 +155,10 @@ def read_only():
         np.empty((4, 10, 3), np.float32)[:, ::2],
         read_only(),
         [[[0.0]]],
+        np.ma.zeros((4, 5, 3), np.float32),
+        np.empty((4, 5, 3), ">f4"),
     ],
-    ids=["size", "dimensions", "dtype", "strides", "read only", "list"],
+    ids=["size", "dimensions", "dtype", "strides", "read only", "list", "masked", "bytes"],
 )
 def test_an_out_that_does_not_fit_is_refused(out):
     depth = np.ones((4, 5), np.float32)
