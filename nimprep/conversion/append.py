@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -176,6 +176,8 @@ class _Append:
         self._workers = options.workers or available_cores()
         self.reader = open_reader(source, self._convert.reader, self._convert.reading)
         self._existing = frozenset(store.ids) & frozenset(self.reader.ids)
+        self._ids: tuple[str, ...] = ()
+        self._skipped: list[SkippedFrame] = []
 
     def finished(self) -> Appended | None:
         """Return what an append of this very source did that was killed at its last step."""
@@ -193,8 +195,11 @@ class _Append:
         ):
             self._workspace.clear()
             return None
-        self._facts, self._skipped = _flat(journal.records().values())
-        self._existing -= {facts.id for facts in self._facts}
+        # The store that has its name says what came of them, and not what is left of a journal.
+        self._ids = tuple(i for i in ours if i in frozenset(self._store.ids))
+        left_out = self._store.attributes.get("skipped", [])
+        self._skipped = [SkippedFrame(**frame) for frame in left_out if frame["id"] in ours]
+        self._existing -= frozenset(self._ids)
         self._workspace.clear()
         return self._appended(self._store)
 
@@ -203,7 +208,6 @@ class _Append:
         new = [i for i in self.reader.ids if i not in self._existing]
         self._check(new)
         if not new:
-            self._facts, self._skipped = [], []
             return self._appended(self._store)
         path, digest = Path(self._store.path), self._store.attributes["source"]["digest"]
         base = Base(len(self._store), *padded_size(self._store), digest)
@@ -212,8 +216,9 @@ class _Append:
         run = Run(self._source, reader, self._convert, self._workspace, journal, base)
         run.prepare(start)
         run.encode(start)
-        records = run.records()
+        records, counts = run.whole()
         self._facts, self._skipped = _flat(records)
+        self._ids = tuple(facts.id for facts in self._facts)
         if not self._facts:
             self._workspace.clear()
             return self._appended(self._store)
@@ -222,7 +227,6 @@ class _Append:
         self._workspace.joined.remove("")
         units = UnitChunks(self._workspace.store, layout, records)
         checksums = self._join(layout, units, start("joining", frames))
-        counts = journal.depth_counts()
         if "depth" in self._store.modalities:
             before = start("reading the depth there was", len(self._store))
             counts += depth_counts(self._store, self._workers, before)
@@ -336,11 +340,9 @@ class _Append:
         }
 
     def _appended(self, store: Store) -> Appended:
-        ids = tuple(facts.id for facts in self._facts)
-        return Appended(store, ids, len(self._existing), tuple(self._skipped))
+        return Appended(store, self._ids, len(self._existing), tuple(self._skipped))
 
 
-def _flat(records: Iterable[UnitRecord]) -> tuple[list[FrameFacts], list[SkippedFrame]]:
-    records = sorted(records, key=lambda record: record.number)
+def _flat(records: Sequence[UnitRecord]) -> tuple[list[FrameFacts], list[SkippedFrame]]:
     facts = chain.from_iterable(record.frames for record in records)
     return list(facts), list(chain.from_iterable(record.skipped for record in records))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,13 +73,9 @@ class Job:
         return reader if self.margins is None else CroppedReader(reader, self.margins)
 
     def units(self) -> list[list[str]]:
-        """Return each unit's frame ids: a shard's length, less in the last.
-
-        The first has as many as a base's last shard has room for, so that shards fall together.
-        """
-        ids, length = list(self.states), self.layout.shard_length
-        first = length - (self.base.frames % length if self.base else 0)
-        return [ids[:first], *(ids[i : i + length] for i in range(first, len(ids), length))]
+        """Return each unit's frame ids: see `units_of`."""
+        frames = self.base.frames if self.base else 0
+        return units_of(list(self.states), self.layout.shard_length, frames)
 
     def encode(self, reader: Reader, frame_id: str) -> EncodedFrame | SkippedFrame:
         """Encode one frame; where bad frames are to be skipped, say why it was.
@@ -98,6 +94,16 @@ class Job:
                 return SkippedFrame(frame_id, reason)
             error.frame_id = frame_id
             raise
+
+
+def units_of(ids: Sequence[str], length: int, before: int) -> list[list[str]]:
+    """Return each unit's frame ids: a shard's length, less in the last.
+
+    The first has as many as the last shard of the `before` frames that there are already has room
+    for, so that shards fall together.
+    """
+    first = length - before % length
+    return [list(ids[:first]), *(list(ids[i : i + length]) for i in range(first, len(ids), length))]
 
 
 class UnitBuilder:

@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import hashlib
 import json
+import secrets
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep import __version__
-from nimprep.conversion.job import Base
+from nimprep.conversion.job import Base, units_of
 from nimprep.conversion.options import ConvertOptions
-from nimprep.conversion.records import DEPTHS, UnitRecord
+from nimprep.conversion.records import DEPTHS, UnitRecord, seal, unseal
 from nimprep.conversion.sources import FileState, changed_files
 from nimprep.errors import StoreError
 from nimprep.readers.crop import Margins
 from nimprep.store.storage import Storage
 
 _PLAN, _UNITS, _FAILED, _PACKED = "plan.json", "units", "failed.json", "packed"
+
+_AT_ONCE = 16
+"""Records read at once: over a network each takes its time, and each is of some 100 KB."""
 
 _FREE = ("workers", "overwrite", "restart", "on_error", "scheduler")
 """Options that leave the store's bytes as they are, or what is done of them."""
@@ -52,6 +56,10 @@ def _file_digest(path: Path) -> str:
         raise StoreError(f"{path}: expected a readable file, found {error.strerror}") from error
 
 
+class LostRecordsError(StoreError):
+    """What a unit's frames are is not known any more, and so no store can be made of them."""
+
+
 class Journal:
     """Keep a plan and the records of the units done.
 
@@ -69,30 +77,44 @@ class Journal:
         self._storage = storage
         self._where = where
         self._base = None if base is None else asdict(base)
+        self._units: list[_Unit] = []
 
     def begin(
         self,
         options: ConvertOptions,
         margins: Margins | None,
         states: Mapping[str, tuple[FileState, ...]],
+        run: str | None = None,
     ) -> None:
-        """Keep a new conversion's plan."""
+        """Keep a conversion's plan.
+
+        Parameters
+        ----------
+        run : str, optional
+            The plan's that is gone on with; None = nothing that was done before counts, even where
+            it could not be removed.
+        """
         plan = {
             "tool_version": __version__,
+            "run": run or secrets.token_hex(8),
             "options": option_values(options),
             "margins": None if margins is None else asdict(margins),
             "files": states,
             "base": self._base,
         }
-        self._storage.write(_PLAN, [json.dumps(plan).encode()])
+        data = seal(plan)
+        self._storage.write(_PLAN, [data])
+        self._units = _units(unseal(data))
 
     def plan(self) -> dict[str, Any] | None:
         """Return the plan that is kept; None = none, or one that a fault of the disk spoilt."""
         data = self._storage.read(_PLAN)
         try:
-            return None if data is None else json.loads(data)
-        except ValueError:
+            plan = None if data is None else unseal(data)
+            self._units = [] if plan is None else _units(plan)
+        except (ValueError, KeyError, TypeError):
             return None
+        return plan
 
     def begun_margins(self, plan: Mapping[str, Any]) -> Margins | None:
         """Return the margins that a plan cuts off."""
@@ -151,20 +173,24 @@ class Journal:
         return said
 
     def _bad_frames(self) -> set[str]:
-        bad = set(json.loads(self._storage.read(_FAILED) or b"[]"))
+        bad: set[str] = set()
+        # Spoilt, it names nobody: then a mended file counts as changed, which is said.
+        with suppress(ValueError, KeyError, TypeError):
+            bad = set(unseal(self._storage.read(_FAILED) or b"")["frames"])
         return bad | {s.id for record in self.records().values() for s in record.skipped}
 
     def note_failure(self, frame_id: str) -> None:
         """Remember a frame that ended the conversion."""
-        self._storage.write(_FAILED, [json.dumps([frame_id]).encode()])
+        self._storage.write(_FAILED, [seal({"frames": [frame_id]})])
 
     def record(self, unit: UnitRecord) -> None:
         """Keep a unit's record; its shards must have been written by now."""
-        self._storage.write(f"{_UNITS}/{unit.number}.json", [unit.to_json()])
+        plan = self._units[unit.number].plan
+        self._storage.write(_unit_key(unit.number), [unit.to_json(plan)])
 
     def forget(self, number: int) -> None:
         """Let a unit count as not done."""
-        self._storage.remove(f"{_UNITS}/{number}.json")
+        self._storage.remove(_unit_key(number))
 
     @property
     def packed(self) -> bool:
@@ -178,18 +204,76 @@ class Journal:
     def records(self) -> dict[int, UnitRecord]:
         """Return the records kept, by the unit's number; what cannot be read is not done.
 
-        Their histograms are left out: see `depth_counts`.
+        Their histograms are left out: see `whole`.
         """
         return {record.number: record.without_counts() for record in self._read()}
 
-    def depth_counts(self) -> npt.NDArray[np.int64]:
-        """Return the sum of the histograms of the units done, (65536,) int64."""
+    def missing(self) -> list[int]:
+        """Return the numbers of the plan's units that are not done."""
+        done = self.records()
+        return [number for number in range(len(self._units)) if number not in done]
+
+    def whole(self) -> tuple[list[UnitRecord], npt.NDArray[np.int64]]:
+        """Return the records of all of the plan's units, in order, and their histograms' sum.
+
+        Raises
+        ------
+        LostRecordsError
+            One is not there, or not whole: no store may be completed without it.
+        """
+        records: dict[int, UnitRecord] = {}
         total = np.zeros(DEPTHS, dtype=np.int64)
         for record in self._read():
+            records[record.number] = record.without_counts()
             total += record.depth_counts
-        return total
+        lost = [number for number in range(len(self._units)) if number not in records]
+        if lost or not self._units:
+            raise LostRecordsError(
+                f"{self._where}: expected a whole record of each of {len(self._units)} units, "
+                f"found those of {lost} lost or damaged; the same command makes them again"
+            )
+        return [records[number] for number in range(len(self._units))], total
 
     def _read(self) -> Iterator[UnitRecord]:
-        for key in self._storage.keys(_UNITS):
-            with suppress(ValueError, KeyError, TypeError, zlib.error):
-                yield UnitRecord.from_json(self._storage.read(key) or b"")
+        """Yield the units' records that are whole, asked for by number: no listing is relied on."""
+        for first in range(0, len(self._units), _AT_ONCE):
+            numbers = range(first, min(first + _AT_ONCE, len(self._units)))
+            found = self._storage.read_many([_unit_key(number) for number in numbers])
+            for number in numbers:
+                with suppress(ValueError, KeyError, TypeError, zlib.error):
+                    unit = self._units[number]
+                    record = UnitRecord.from_json(found[_unit_key(number)] or b"", unit.plan)
+                    if record.number == number and _fits(record, unit.ids):
+                        yield record
+
+
+def _unit_key(number: int) -> str:
+    return f"{_UNITS}/{number}.json"
+
+
+class _Unit(NamedTuple):
+    """Say which frames a unit has, and what tells its record from any other's."""
+
+    ids: list[str]
+    plan: str
+
+
+def _units(plan: Mapping[str, Any]) -> list[_Unit]:
+    """Return the units of a plan; a record counts for just the plan and files it was made by."""
+    files, base = plan["files"], plan["base"]
+    frames = 0 if base is None else base["frames"]
+    every = {name: value for name, value in plan.items() if name != "files"}
+    units = []
+    for number, ids in enumerate(units_of(list(files), plan["options"]["shard_length"], frames)):
+        said = json.dumps([every, number, [[i, files[i]] for i in ids]])
+        units.append(_Unit(ids, hashlib.sha256(said.encode()).hexdigest()))
+    return units
+
+
+def _fits(record: UnitRecord, ids: Sequence[str]) -> bool:
+    """Return whether a record tells of just these frames: each stored, in order, or skipped."""
+    skipped = [frame.id for frame in record.skipped]
+    stored = [frame.id for frame in record.frames]
+    return len(set(skipped)) == len(skipped) and (
+        stored == [i for i in ids if i not in set(skipped)] and set(skipped) <= set(ids)
+    )

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import google_crc32c
 import numpy as np
 import numpy.typing as npt
 
@@ -17,6 +18,29 @@ from nimprep.splits import SPLIT_CODES
 
 DEPTHS = 1 << 16
 """Values a stored depth, millimetres, can have."""
+
+
+def seal(document: dict[str, Any]) -> bytes:
+    """Return a JSON document that tells whether it is whole and as it was written."""
+    crc = google_crc32c.value(json.dumps(document).encode())
+    return json.dumps({**document, "crc32c": crc}).encode()
+
+
+def unseal(data: bytes) -> dict[str, Any]:
+    """Return the document that was sealed.
+
+    Raises
+    ------
+    ValueError
+        It is not whole, not as it was written, or was never sealed.
+    """
+    document = json.loads(data)
+    if not isinstance(document, dict):
+        raise ValueError(f"expected an object, found {type(document).__name__}")
+    crc = document.pop("crc32c", None)
+    if crc != google_crc32c.value(json.dumps(document).encode()):
+        raise ValueError("expected a document as it was written, found a wrong checksum")
+    return document
 
 
 @dataclass(frozen=True)
@@ -81,21 +105,38 @@ class UnitRecord:
     skipped: tuple[SkippedFrame, ...]
     depth_counts: npt.NDArray[np.int64]
 
-    def to_json(self) -> bytes:
-        """Return the record as a JSON document; floats keep every digit."""
+    def to_json(self, plan: str = "") -> bytes:
+        """Return the record as a sealed JSON document; floats keep every digit.
+
+        Parameters
+        ----------
+        plan : str
+            What the record belongs to.
+        """
         counts = zlib.compress(self.depth_counts.astype("<i8").tobytes(), 1)
         document = {
+            "plan": plan,
             "number": self.number,
             "frames": [asdict(frame) for frame in self.frames],
             "skipped": [asdict(frame) for frame in self.skipped],
             "depth_counts": base64.b64encode(counts).decode(),
         }
-        return json.dumps(document).encode()
+        return seal(document)
 
     @classmethod
-    def from_json(cls, data: bytes) -> UnitRecord:
-        """Return the record that `to_json` wrote."""
-        document = json.loads(data)
+    def from_json(cls, data: bytes, plan: str = "") -> UnitRecord:
+        """Return the record that `to_json` wrote.
+
+        Raises
+        ------
+        ValueError
+            It is not whole, or belongs to something else.
+        """
+        document = unseal(data)
+        if document.get("plan") != plan:
+            raise ValueError(
+                f"expected a record of {plan!r}, found one of {document.get('plan')!r}"
+            )
         counts = zlib.decompress(base64.b64decode(document["depth_counts"]))
         return cls(
             number=document["number"],

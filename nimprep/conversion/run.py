@@ -10,8 +10,11 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from nimprep.conversion.job import Base, Job
-from nimprep.conversion.journal import Journal
+from nimprep.conversion.journal import Journal, LostRecordsError
 from nimprep.conversion.local import encode_units as encode_units_here
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
@@ -131,8 +134,9 @@ class Run:
         skip = self._options.on_error == "skip"
         states = frame_states(self._reader, skip_bad=skip)
         plan = None if self._options.restart else self._journal.plan()
+        self._anew = False
         if plan is None:
-            self._workspace.clear()
+            self._clear()
             margins = self._margins(start)
         else:
             self._journal.check(plan, self._options, states)
@@ -147,8 +151,16 @@ class Run:
         if plan is not None:
             self._drop_lost()
             self._drop_mended(plan)
-        self._journal.begin(self._options, margins, states)
+            # Shards that have moved up cannot be told from those of a unit that is done again.
+            if self._journal.packed and self._journal.missing():
+                self._clear()
+        run = None if plan is None or self._anew else plan["run"]
+        self._journal.begin(self._options, margins, states, run)
         StoreWriter(self._workspace.store, layout).begin(self._describe(self._reader.ids))
+
+    def _clear(self) -> None:
+        self._workspace.clear()
+        self._anew = True
 
     def _margins(self, start: Progress) -> Margins | None:
         crop = self._options.crop
@@ -174,7 +186,7 @@ class Run:
     def _drop(self, record: UnitRecord) -> None:
         """Let a unit be done again; all of them once shards have moved up into the gaps."""
         if self._journal.packed:
-            self._workspace.clear()
+            self._clear()
         else:
             self._journal.forget(record.number)
 
@@ -192,13 +204,16 @@ class Run:
     def encode(self, start: Progress) -> None:
         """Encode and write the units that are not done yet."""
         units = self.job.units()
-        records = self._journal.records()
-        todo = [number for number in range(len(units)) if number not in records]
+        todo = self._journal.missing()
         total = len(self._reader.ids)
-        before = sum(len(units[number]) for number in records)
+        before = total - sum(len(units[number]) for number in todo)
         done = start("converting" if not before else "going on converting", total)
         for _ in range(before):
             done()
+        self._encode(todo, done)
+
+    def _encode(self, todo: Sequence[int], done: Callable[[], None]) -> None:
+        total = len(self._reader.ids)
         try:
             encode_units = _encoder(self._options)
             encoding = encode_units(self.job, self._reader, todo, self._workers, done)
@@ -216,13 +231,27 @@ class Run:
         if kept:
             error.add_note(f"{kept} of {total} frames are kept: the same command goes on from them")
 
-    def records(self) -> list[UnitRecord]:
-        """Return what is known of the units, in order."""
-        return [record for _, record in sorted(self._journal.records().items())]
+    def whole(self) -> tuple[list[UnitRecord], npt.NDArray[np.int64]]:
+        """Return every unit's record, in order, and how many pixels have each depth.
+
+        A unit whose record was spoilt since is done again, once.
+
+        Raises
+        ------
+        StoreError
+            One cannot be kept, or shards have moved up already.
+        """
+        try:
+            return self._journal.whole()
+        except LostRecordsError:
+            if self._journal.packed:
+                raise
+            self._encode(self._journal.missing(), lambda: None)
+            return self._journal.whole()
 
     def finish(self) -> None:
         """Close the gaps of skipped frames, write the tables, and complete the store."""
-        records = self.records()
+        records, counts = self.whole()
         facts = list(chain.from_iterable(record.frames for record in records))
         skipped = list(chain.from_iterable(record.skipped for record in records))
         if not facts:
@@ -235,7 +264,7 @@ class Run:
         attributes = {
             **self._describe(ids),
             **({"skipped": [asdict(frame) for frame in skipped]} if skipped else {}),
-            "depth_percentiles_m": depth_percentiles(self._journal.depth_counts()),
+            "depth_percentiles_m": depth_percentiles(counts),
             "source": {"digest": source_digest(facts)},
         }
         layout = replace(self.job.layout, frames=len(facts))

@@ -391,3 +391,37 @@ def test_what_comes_while_a_store_is_replaced_stays(
     assert found.pop("notes.txt") == b"mine"
     nimprep.convert(raw, tmp_path / "plain.zarr", **small)
     assert found == contents(tmp_path / "plain.zarr")
+
+
+@pytest.mark.parametrize("times", [1, 100])
+@pytest.mark.parametrize("fault", ["cut short", "not listed"])
+def test_a_record_that_an_answer_leaves_out_costs_no_frame(
+    fault: str, times: int, url: str, raw: Path, local: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, keys = ObjectStorage.read, ObjectStorage.keys
+    left = [times]
+
+    def spoilt(key: str) -> bool:
+        left[0] -= key.endswith("units/1.json")
+        return key.endswith("units/1.json") and left[0] >= 0
+
+    def less(self: ObjectStorage, key: str, limit: int | None = None) -> bytes | None:
+        data = read(self, key, limit)
+        return data[:-9] if data and fault == "cut short" and spoilt(key) else data
+
+    def fewer(self: ObjectStorage, prefix: str = "") -> list[str]:
+        found = keys(self, prefix)
+        return [key for key in found if not (fault == "not listed" and spoilt(f"{prefix}/{key}"))]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ObjectStorage, "read", less)
+        patch.setattr(ObjectStorage, "keys", fewer)
+        if fault == "cut short" and times > 1:
+            with pytest.raises(StoreError, match=r"found those of \[1\] lost or damaged"):
+                nimprep.convert(raw, url, **OPTIONS)
+            assert state(url) in ("cut short", "nothing")
+        else:
+            nimprep.convert(raw, url, **OPTIONS)
+    if state(url) != "7 frames":
+        nimprep.convert(raw, url, **OPTIONS)
+    assert below(url) == contents(local)

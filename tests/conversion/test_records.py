@@ -1,0 +1,265 @@
+"""Records of units that a fault spoils: done again, or said; never a store without their frames."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nimprep
+from nimprep.conversion.append import append_frames
+from nimprep.conversion.records import SkippedFrame, UnitRecord, seal, unseal
+from nimprep.conversion.run import Run
+from nimprep.errors import StoreError
+from nimprep.store.storage import LocalStorage
+from nimprep.store.validate import validate_store
+from nimprep.store.writer import StoreWriter
+from tests.conversion.test_append import write_frames
+from tests.fakes import contents, write_gmrp
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
+    pytest.mark.usefixtures("unsynced"),
+]
+
+FRAMES, LENGTH = 10, 4
+UNITS = 3
+
+Damage = Callable[[Path, Path], None]
+
+
+def cut(record: Path, other: Path) -> None:
+    record.write_bytes(record.read_bytes()[:-20])
+
+
+def flip(record: Path, other: Path) -> None:
+    data = bytearray(record.read_bytes())
+    data[data.index(b'"image_size"') + 15] ^= 1
+    record.write_bytes(data)
+
+
+def swap(record: Path, other: Path) -> None:
+    ours, theirs = record.read_bytes(), other.read_bytes()
+    record.write_bytes(theirs)
+    other.write_bytes(ours)
+
+
+DAMAGES: dict[str, Damage] = {
+    "cut short": cut,
+    "one bit": flip,
+    "empty": lambda record, other: record.write_bytes(b"") and None,
+    "no JSON": lambda record, other: record.write_bytes(b"\x00" * 100) and None,
+    "no record": lambda record, other: record.write_bytes(b'{"number": 1}') and None,
+    "a list": lambda record, other: record.write_bytes(b"[]") and None,
+    "gone": lambda record, other: record.unlink(),
+    "another unit's": lambda record, other: record.write_bytes(other.read_bytes()) and None,
+    "exchanged": swap,
+}
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_gmrp(tmp_path_factory.mktemp("raw") / "gmrp", FRAMES)
+
+
+@pytest.fixture(scope="module")
+def whole(raw: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the store of an undisturbed conversion."""
+    target = tmp_path_factory.mktemp("whole") / "whole.zarr"
+    with pytest.warns(UserWarning, match="nominal"):
+        nimprep.convert(raw, target, shard_length=LENGTH)
+    return target
+
+
+def spoiling(
+    monkeypatch: pytest.MonkeyPatch, units: Path, damage: Damage, number: int, times: int = 1
+) -> list[int]:
+    """Have a record damaged before the records are read to complete a store; count how often."""
+    done: list[int] = []
+    read = Run.whole
+
+    def spoilt(self: Run) -> Any:
+        if len(done) < times:
+            done.append(number)
+            damage(units / f"{number}.json", units / f"{(number + 1) % UNITS}.json")
+        return read(self)
+
+    monkeypatch.setattr(Run, "whole", spoilt)
+    return done
+
+
+@pytest.mark.parametrize("number", range(UNITS))
+@pytest.mark.parametrize("kind", DAMAGES)
+def test_a_record_spoilt_before_the_end_is_made_again(
+    kind: str, number: int, raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    units = tmp_path / ".s.zarr.partial" / "journal" / "units"
+    done = spoiling(monkeypatch, units, DAMAGES[kind], number)
+    nimprep.convert(raw, tmp_path / "s.zarr", shard_length=LENGTH)
+    assert done
+    assert contents(tmp_path / "s.zarr") == contents(whole)
+
+
+@pytest.mark.parametrize("kind", DAMAGES)
+def test_a_record_spoilt_before_an_append_ends_is_made_again(
+    kind: str, raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = write_gmrp(tmp_path / "few", 1)
+    rest = write_frames(tmp_path / "rest", range(1, FRAMES))
+    for name in ("s", "quiet"):
+        nimprep.convert(few, tmp_path / f"{name}.zarr", shard_length=LENGTH)
+    append_frames(rest, tmp_path / "quiet.zarr")
+    units = tmp_path / ".s.zarr.partial" / "append" / "journal" / "units"
+    done = spoiling(monkeypatch, units, DAMAGES[kind], 1)
+    found = append_frames(rest, tmp_path / "s.zarr")
+    assert done
+    assert len(found.ids) == FRAMES - 1
+    assert contents(tmp_path / "s.zarr") == contents(tmp_path / "quiet.zarr")
+
+
+@pytest.mark.parametrize("kind", DAMAGES)
+def test_a_record_spoilt_while_nothing_runs_is_made_again(
+    kind: str, raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "s.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "finish", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            nimprep.convert(raw, target, shard_length=LENGTH)
+    units = tmp_path / ".s.zarr.partial" / "journal" / "units"
+    DAMAGES[kind](units / "1.json", units / "2.json")
+    nimprep.convert(raw, target, shard_length=LENGTH)
+    assert contents(target) == contents(whole)
+
+
+def test_records_that_cannot_be_kept_end_it_in_one_line(
+    raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = LocalStorage.read
+
+    def unreadable(self: LocalStorage, key: str, limit: int | None = None) -> bytes | None:
+        data = read(self, key, limit)
+        return data if data is None or not key.endswith("units/1.json") else data[:-1]
+
+    target = tmp_path / "s.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(LocalStorage, "read", unreadable)
+        with pytest.raises(StoreError, match=r"of each of 3 units, found those of \[1\] lost"):
+            nimprep.convert(raw, target, shard_length=LENGTH)
+    assert not target.exists()
+    nimprep.convert(raw, target, shard_length=LENGTH)
+    assert contents(target) == contents(whole)
+
+
+@pytest.mark.parametrize("number", range(UNITS))
+def test_a_record_spoilt_once_shards_have_moved_up_begins_anew(
+    number: int, raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = shutil.copytree(raw, tmp_path / "bad")
+    picture = bad / "rgb" / "000001.png"
+    picture.write_bytes(picture.read_bytes()[:-30])
+    options: dict[str, Any] = {"shard_length": LENGTH, "on_error": "skip"}
+    nimprep.convert(bad, tmp_path / "quiet.zarr", **options)
+    target = tmp_path / "s.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(StoreWriter, "finish", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            nimprep.convert(bad, target, **options)
+    journal = tmp_path / ".s.zarr.partial" / "journal"
+    assert (journal / "packed").exists()
+    cut(journal / "units" / f"{number}.json", journal)
+    nimprep.convert(bad, target, **options)
+    assert contents(target) == contents(tmp_path / "quiet.zarr")
+    assert validate_store(target, deep=True).valid
+
+
+def test_a_record_of_an_earlier_run_is_none_of_this_one(
+    raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "s.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "finish", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            nimprep.convert(raw, target, shard_length=LENGTH)
+    units = tmp_path / ".s.zarr.partial" / "journal" / "units"
+    left = {path.name: path.read_bytes() for path in units.iterdir()}
+    begin = StoreWriter.begin
+
+    def begun(self: StoreWriter, attributes: dict[str, Any]) -> None:
+        # As where a listing left them out when everything was to be removed.
+        units.mkdir(parents=True, exist_ok=True)
+        for name, data in left.items():
+            (units / name).write_bytes(data)
+        begin(self, attributes)
+
+    monkeypatch.setattr(StoreWriter, "begin", begun)
+    nimprep.convert(raw, target, shard_length=LENGTH, restart=True)
+    assert contents(target) == contents(whole)
+
+
+@pytest.mark.parametrize("name", ["plan.json", "failed.json"])
+@pytest.mark.parametrize("kind", ["cut short", "empty", "no JSON", "a list"])
+def test_a_journal_that_is_spoilt_is_begun_anew_or_said(
+    kind: str, name: str, raw: Path, whole: Path, tmp_path: Path
+) -> None:
+    bad = shutil.copytree(raw, tmp_path / "bad")
+    picture = bad / "depth_u16" / "000006.png"
+    picture.write_bytes(picture.read_bytes()[:-30])
+    target = tmp_path / "s.zarr"
+    with pytest.raises(nimprep.NimprepError, match="000006"):
+        nimprep.convert(bad, target, shard_length=LENGTH)
+    journal = tmp_path / ".s.zarr.partial" / "journal"
+    DAMAGES[kind](journal / name, journal)
+    shutil.copy(raw / "depth_u16" / "000006.png", picture)
+    if name == "failed.json":
+        # Nobody knows any more that this file was bad: that it was mended counts as a change.
+        with pytest.raises(StoreError, match=r"1 source files changed.*--restart"):
+            nimprep.convert(bad, target, shard_length=LENGTH)
+        nimprep.convert(bad, target, shard_length=LENGTH, restart=True)
+    else:
+        nimprep.convert(bad, target, shard_length=LENGTH)
+    assert len(nimprep.open_store(target)) == FRAMES
+    assert validate_store(target, deep=True).valid
+
+
+def test_an_append_that_was_killed_at_its_last_step_says_what_the_store_has(
+    raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, rest = tmp_path / "s.zarr", write_frames(tmp_path / "rest", range(1, FRAMES))
+    nimprep.convert(write_gmrp(tmp_path / "few", 1), target, shard_length=LENGTH)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            append_frames(rest, target)
+    units = tmp_path / ".s.zarr.partial" / "append" / "journal" / "units"
+    assert units.is_dir()
+    cut(units / "1.json", units)
+    found = append_frames(rest, target)
+    assert found.ids == tuple(f"{n:06d}" for n in range(1, FRAMES))
+    assert len(found.store) == FRAMES
+
+
+def test_what_is_sealed_is_whole_or_refused() -> None:
+    document = {"a": [1.5, float("inf"), "\u00e4"], "b": {"c": None}}
+    data = seal(document)
+    assert unseal(data) == document
+    for place in range(len(data)):
+        changed = bytearray(data)
+        changed[place] ^= 1
+        for spoilt in (data[:place], bytes(changed)):
+            try:
+                assert unseal(spoilt) == document
+            except ValueError:
+                continue
+
+
+def test_a_record_belongs_to_its_plan_alone() -> None:
+    counts = np.arange(1 << 16, dtype=np.int64)
+    record = UnitRecord(3, (), (SkippedFrame("a", "bad"),), counts)
+    again = UnitRecord.from_json(record.to_json("plan"), "plan")
+    assert (again.number, again.skipped) == (3, record.skipped)
+    assert (again.depth_counts == counts).all()
+    with pytest.raises(ValueError, match="expected a record of 'other'"):
+        UnitRecord.from_json(record.to_json("plan"), "other")
