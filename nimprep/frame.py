@@ -67,14 +67,14 @@ class Frame:
         Height over the road's plane; NaN = none.
     label : (H, W) uint8, optional
         Class ids; 255 = ignore.
-    others : mapping of str to array
-        The images of further modalities, by name.
     group : str
         The scene the frame belongs to; "" = none known.
     baseline_m : float
         Stereo baseline, metres; NaN = none.
     cam_to_road : (3, 4) float64, optional
         Transform from the camera frame to the road frame, metres.
+    others : mapping of str to array
+        The images of further modalities, by name.
 
     Raises
     ------
@@ -93,10 +93,10 @@ class Frame:
     transformed_disparity: npt.NDArray[np.float32] | None = None
     elevation: npt.NDArray[np.float32] | None = None
     label: npt.NDArray[np.uint8] | None = None
-    others: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
     group: str = ""
     baseline_m: float = float("nan")
     cam_to_road: npt.NDArray[np.float64] | None = None
+    others: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         try:
