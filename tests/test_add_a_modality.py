@@ -84,7 +84,7 @@ def follow(copy: Path, *, without: str = "") -> Path:
         (shutil.copytree if source.is_dir() else shutil.copy2)(source, target)
     for block in blocks():
         path = copy / block.file
-        if not block.file or block.file == without:
+        if "/" not in block.file or block.file == without:
             continue
         if block.file not in ABOVE:
             assert not path.exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from nimprep.schema import load_schema
 from nimprep.store.spec import NORMAL_SCALES, image_spec, stored_modalities
 from nimprep.store.table_specs import TABLES
 
+PACKAGE = Path(frame.__file__).parent
 SCHEMAS = Path(__file__).parent.parent / "schemas"
 
 
@@ -105,3 +107,28 @@ def test_no_modality_has_the_name_of_what_else_a_frame_or_a_store_has() -> None:
     assert images <= attributes
     taken = {f.name for f in fields(Frame)} - images
     assert not {*MODALITIES, *attributes} & {*taken, *TABLES}
+
+
+def asked_by_name(path: Path) -> list[str]:
+    """Return where a file compares something with a modality's name: `name == "normal"`."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        asked: list[ast.expr] = []
+        if isinstance(node, ast.Compare) and not isinstance(node.left, ast.Constant):
+            sides = [side for side in node.comparators if not isinstance(side, ast.Subscript)]
+            asked = [e for side in sides for e in getattr(side, "elts", [side])]
+        if isinstance(node, ast.MatchValue):
+            asked = [node.value]
+        names = [e.value for e in asked if isinstance(e, ast.Constant)]
+        found += [f"{path.name}:{node.lineno}: {name}" for name in names if name in MODALITIES]
+    return found
+
+
+def test_no_code_asks_for_a_modality_by_its_name(tmp_path: Path) -> None:
+    asking = tmp_path / "a.py"
+    asking.write_text(
+        "x = name == 'normal'\ny = name in ('rgb', other)\nz = 'rgb' in names\n"
+        "match name:\n    case 'hha':\n        pass\n"
+    )
+    assert asked_by_name(asking) == ["a.py:1: normal", "a.py:2: rgb", "a.py:5: hha"]
+    assert [place for path in PACKAGE.rglob("*.py") for place in asked_by_name(path)] == []

@@ -47,7 +47,8 @@ class Normalize(nn.Module):
             as it was.
         """
         images = self.selection.images
-        out = {name: value for name, value in batch.items() if name not in (*images, "label")}
+        out = {name: value for name, value in batch.items() if name not in images}
+        out.pop("label", None)
         groups = self.selection.inputs or tuple((name,) for name in images)
         tensors = tuple(self._joined(group, batch) for group in groups)
         if not self.selection.inputs:
