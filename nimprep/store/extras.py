@@ -162,7 +162,10 @@ def carry_over(old: Path, new: Path) -> None:
     found.update({name: value for name, value in root.items() if name not in _ROOT_FIELDS})
     _add(found["attributes"], root["attributes"])
     copies = consolidated(found)
+    # A store of an older format lacks tables that the new one has.
     for name in arrays & copies.keys():
+        if not (old / name / ROOT).exists():
+            continue
         if _add(copies[name]["attributes"], _attributes_of(storage, name)):
             made.write(f"{name}/{ROOT}", [_encoded(copies[name])])
     copies.update({n: c for n, c in consolidated(root).items() if n.split("/")[0] in paths})
