@@ -35,7 +35,12 @@ from nimprep.conversion.records import (
 )
 from nimprep.conversion.run import Run
 from nimprep.conversion.sources import frame_states, listed_state
-from nimprep.conversion.workspace import LocalWorkspace, open_workspace
+from nimprep.conversion.workspace import (
+    LocalWorkspace,
+    check_unchanged,
+    open_workspace,
+    root_digest,
+)
 from nimprep.errors import StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import open_reader
@@ -143,7 +148,8 @@ def append_frames(
     check_apart(source, target)
     start = progress or no_progress
     with open_workspace(target, overwrite=True, task="append") as workspace:
-        append = _Append(source, open_store(target), options, workspace)
+        opened = root_digest(target)
+        append = _Append(source, open_store(target), options, workspace, opened)
         done = (append.finished() if workspace.published else None) or append.run(start)
     for note in append.reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
@@ -164,12 +170,18 @@ class _Append:
     """One append, from its checks to the store in its place."""
 
     def __init__(
-        self, source: Path, store: Store, options: AppendOptions, workspace: LocalWorkspace
+        self,
+        source: Path,
+        store: Store,
+        options: AppendOptions,
+        workspace: LocalWorkspace,
+        opened: str,
     ) -> None:
         self._source = source
         self._store = store
         self._options = options
         self._workspace = workspace
+        self._opened = opened
         reading = asdict(options)
         del reading["skip_existing"]
         self._convert = options_like(store, **reading)
@@ -233,6 +245,7 @@ class _Append:
         writer = StoreWriter(self._workspace.joined, layout)
         writer.finish(self._tables(checksums), self._attributes(depth_percentiles(counts)))
         carry_over(path, self._workspace.joined.root)
+        check_unchanged(path, self._opened)
         self._workspace.publish(self._workspace.joined)
         return self._appended(open_store(path))
 

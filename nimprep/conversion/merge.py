@@ -24,7 +24,7 @@ from nimprep.conversion.provenance import (
     parts,
 )
 from nimprep.conversion.records import depth_percentiles
-from nimprep.conversion.workspace import open_workspace
+from nimprep.conversion.workspace import check_unchanged, open_workspace, root_digest
 from nimprep.errors import SplitError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.store.reader import Store, open_store
@@ -84,6 +84,7 @@ def merge_stores(
         raise StoreError(f"{target}: expected stores to merge, found none")
     for folder in folders:
         check_apart(folder, target)
+    found = [root_digest(folder) for folder in folders]
     opened = [open_store(folder) for folder in folders]
     check_alike(opened)
     merge = _Merge(opened, prefixes or [""] * len(opened), workers or available_cores())
@@ -93,6 +94,8 @@ def merge_stores(
         workspace.clear()
         writer = StoreWriter(workspace.store, merge.layout())
         merge.write(writer, start)
+        for folder, digest in zip(folders, found, strict=True):
+            check_unchanged(folder, digest)
         workspace.publish()
     return open_store(target)
 

@@ -13,12 +13,13 @@ import json
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 
-from nimprep.conversion.object_lock import ObjectLock
 from nimprep.conversion.workspace import Workspace, open_workspace
 from nimprep.errors import StoreError
 from nimprep.store.connection import RequestError
 from nimprep.store.extras import check_replaceable, is_own, own_arrays
+from nimprep.store.lock import hidden_objects, locked_objects
 from nimprep.store.metadata import ROOT, read_attributes, read_document
+from nimprep.store.object_lock import ObjectLock
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage
 
@@ -110,8 +111,8 @@ def open_object_workspace(target: ObjectStorage, *, overwrite: bool) -> Iterator
             f"{target}: expected a name for the store in the bucket, such as "
             f"{target}/out.zarr, found none"
         )
-    hidden = target.sibling(f".{target.name}.partial")
-    with ObjectLock(hidden, "lock", str(target)) as lock:
+    hidden = hidden_objects(target)
+    with locked_objects(target) as lock:
         complete = _check_target(target)
         workspace = ObjectWorkspace(target, hidden, lock)
         if complete:

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from filelock import FileLock, Timeout
-
 from nimprep.errors import StoreError
 from nimprep.files import replace_file
 from nimprep.folders import place_of, sync_tree
 from nimprep.store.extras import discard
+from nimprep.store.lock import LOCK, MARKER, hidden_folder, locked_folder
 from nimprep.store.metadata import ROOT
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import OLD, check_target, move_into_place, put_back
 
 _NOTE = "publishing"
 """Which store is being given its name, while it is."""
+
+_NOTE_FORM = re.compile(r"(store|joined) ([0-9a-f]{64})")
 
 
 class Workspace(Protocol):
@@ -70,7 +72,7 @@ class LocalWorkspace:
 
     def __init__(self, target: Path, *, overwrite: bool, task: str = "") -> None:
         self.target = place_of(target)
-        self.folder = self.target.with_name(f".{self.target.name}.partial")
+        self.folder = hidden_folder(self.target)
         self.place = self.folder / task
         self.store = LocalStorage(self.place / "store")
         self.joined = LocalStorage(self.place / "joined")
@@ -90,10 +92,21 @@ class LocalWorkspace:
         storage.remove_partial()
         sync_tree(storage.root)
         # Two folders may change names at once; the note tells afterwards which is which.
-        note = f"{storage.root.name} {_root_digest(storage.root)}"
+        note = f"{storage.root.name} {root_digest(storage.root)}"
         replace_file(self.place / _NOTE, note.encode(), StoreError)
         move_into_place(storage.root, self.target, overwrite=self._overwrite, grows=self._grows)
-        shutil.rmtree(self.place, ignore_errors=True)
+        self._discard()
+
+    def _discard(self) -> None:
+        """Remove what was worked with; as long as the note is there, nobody goes on from it."""
+        # The lock stays: the next one at work here must not have its files removed by this one.
+        last = (self.journal.root.name, _NOTE)
+        others = {path.name for path in self.place.iterdir()} - {LOCK, MARKER, *last}
+        for path in (self.place / name for name in (*sorted(others), *last)):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
 
     def recover(self) -> None:
         """Undo or finish what a kill during `publish` left, of whatever task: no store is lost."""
@@ -101,14 +114,20 @@ class LocalWorkspace:
             self._recover(note)
 
     def _recover(self, note: Path) -> None:
-        name, _, digest = note.read_text().partition(" ")
-        root = note.with_name(name)
-        put_back(root, self.target)
-        if note.parent == self.place:
-            self.published = _root_digest(self.target) == digest
-        discard(root.with_suffix(OLD), self.target)
-        if _root_digest(root) != digest:
-            discard(root, self.target)
+        names = (self.store.root.name, self.joined.root.name)
+        said = _NOTE_FORM.fullmatch(note.read_bytes().decode(errors="replace"))
+        for name in (said[1],) if said else names:
+            root = note.with_name(name)
+            put_back(root, self.target)
+            discard(root.with_suffix(OLD), self.target)
+            # Of a note that a fault spoilt nobody knows which of two stores is the new one; that at
+            # the target is whole, and the other can be made again.
+            if said is None or root_digest(root) != said[2]:
+                discard(root, self.target)
+        if said is None:
+            shutil.rmtree(note.with_name(self.journal.root.name), ignore_errors=True)
+        elif note.parent == self.place:
+            self.published = root_digest(self.target) == said[2]
         note.unlink()
 
     def leave(self) -> None:
@@ -116,16 +135,33 @@ class LocalWorkspace:
         if not self.journal.keys("units"):
             for storage in (self.journal, self.store, self.joined):
                 shutil.rmtree(storage.root, ignore_errors=True)
-        for folder in (self.place, self.folder):
-            if folder.is_dir() and {path.name for path in folder.iterdir()} <= {"lock"}:
-                shutil.rmtree(folder, ignore_errors=True)
+        if self.place != self.folder and self.place.is_dir() and not any(self.place.iterdir()):
+            self.place.rmdir()
 
 
-def _root_digest(store: Path) -> str:
+def root_digest(store: Path) -> str:
+    """Return what tells one state of a store from another: the digest of its root."""
     try:
         return hashlib.sha256((store / ROOT).read_bytes()).hexdigest()
     except OSError:
         return "none"
+
+
+def check_unchanged(store: Path, digest: str) -> None:
+    """Make sure that a store is what it was when it was opened, and had this digest.
+
+    Every command of this program that changes a store keeps out whoever else would; others do not.
+
+    Raises
+    ------
+    StoreError
+        It is not.
+    """
+    if root_digest(store) != digest:
+        raise StoreError(
+            f"{store}: expected a store that stays as it is meanwhile, found that it was changed; "
+            "nothing was written to it, give the same command again"
+        )
 
 
 @contextmanager
@@ -140,28 +176,14 @@ def open_workspace(target: Path, *, overwrite: bool, task: str = "") -> Iterator
     StoreError
         Another process converts into the target, it must not be replaced, or cannot be written.
     """
-    check_target(target, overwrite=overwrite, grows=task == "append")
-    workspace = LocalWorkspace(target, overwrite=overwrite, task=task)
-    lock = FileLock(workspace.folder / "lock")
-    try:
-        workspace.folder.mkdir(parents=True, exist_ok=True)
-        lock.acquire(blocking=False)
-        # Whoever held it until a moment ago may have finished and removed the folder.
-        held = (workspace.folder / "lock").exists()
-    except (Timeout, FileNotFoundError):
-        held = False
-    except OSError as error:
-        raise StoreError(f"{target}: expected a writable place, found {error.strerror}") from error
-    if not held:
-        raise StoreError(
-            f"{target}: expected no other conversion into it, found one at work; wait for it, or "
-            "choose another name"
-        )
-    try:
-        workspace.recover()
-        check_target(target, overwrite=overwrite, grows=task == "append")
-        workspace.store.remove_partial()
-        yield workspace
-    finally:
-        workspace.leave()
-        lock.release()
+    grows = task == "append"
+    check_target(target, overwrite=overwrite, grows=grows)
+    with locked_folder(target):
+        workspace = LocalWorkspace(target, overwrite=overwrite, task=task)
+        try:
+            workspace.recover()
+            check_target(target, overwrite=overwrite, grows=grows)
+            workspace.store.remove_partial()
+            yield workspace
+        finally:
+            workspace.leave()

@@ -107,9 +107,12 @@ class ObjectStorage:
         """Whether keys can be listed: not on a web server."""
         return type(self._store()).__name__ != "HTTPStore"
 
-    def _begin_writing(self) -> None:
+    def _refuse_web_server(self) -> None:
         if not self._lists:
             raise StoreError(f"{self.url}: expected a place to write, found a web server")
+
+    def _begin_writing(self) -> None:
+        self._refuse_web_server()
         if self.before_write is not None:
             self.before_write()
 
@@ -183,6 +186,7 @@ class ObjectStorage:
         """Put an object where there is none and return its version; None = there is one."""
         from obstore.exceptions import AlreadyExistsError
 
+        self._refuse_web_server()
         try:
             return dict(self._store().put(key, data, mode="create"))
         except AlreadyExistsError:

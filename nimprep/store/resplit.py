@@ -12,9 +12,10 @@ import numpy as np
 from nimprep.errors import StoreError
 from nimprep.splits import SPLIT_CODES, SplitName, assign_splits, splits_from_file
 from nimprep.store.location import Place
+from nimprep.store.lock import changing
 from nimprep.store.memory import encode_table
 from nimprep.store.metadata import ROOT, write_attributes
-from nimprep.store.reader import open_store
+from nimprep.store.reader import Store, open_store
 from nimprep.store.seal import chunk_checksum
 from nimprep.store.spec import check_changeable
 from nimprep.store.storage import Storage
@@ -49,9 +50,15 @@ def resplit(
     SplitError
         The file or the rule does not fit the frames; the store is as it was.
     StoreError
-        There is no store, or it cannot be written.
+        There is no store, somebody else changes it, or it cannot be written.
     """
-    store = open_store(path)
+    with changing(path) as storage:
+        return _resplit(open_store(storage), split_file, rule, seed)
+
+
+def _resplit(
+    store: Store, split_file: Path | str | None, rule: str | None, seed: int
+) -> dict[str, str]:
     check_changeable(store.attributes["format_version"], str(store.path))
     if split_file is not None:
         splits = splits_from_file(split_file, store.ids)

@@ -18,8 +18,7 @@ from pathlib import Path
 import pytest
 
 import nimprep
-from nimprep.conversion import object_lock
-from nimprep.store import connection, objects
+from nimprep.store import connection, object_lock, objects
 from tests.cloud.clock import Clock
 from tests.cloud.server import BUCKET, VARIABLES, FolderHandler, Proxy, Server
 from tests.fakes import contents, write_gmrp

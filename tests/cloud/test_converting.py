@@ -15,9 +15,8 @@ from pathlib import Path
 import pytest
 
 import nimprep
-from nimprep.conversion import object_lock
 from nimprep.errors import DecodeError, LayoutError, SplitError, StoreError
-from nimprep.store import connection
+from nimprep.store import connection, object_lock
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.table_specs import table_specs
 from nimprep.store.validate import validate_store

@@ -3,15 +3,19 @@
 import itertools
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import nimprep
-from nimprep.conversion import object_lock
-from nimprep.conversion.object_lock import ObjectLock
 from nimprep.errors import StoreError
+from nimprep.store import object_lock
+from nimprep.store import resplit as resplit_module
+from nimprep.store.lock import changing
+from nimprep.store.object_lock import ObjectLock
 from nimprep.store.objects import ObjectStorage
+from nimprep.store.resplit import resplit
 from tests.cloud.clock import Clock
 from tests.cloud.conftest import CAMERA
 from tests.cloud.server import Proxy, Request
@@ -51,7 +55,7 @@ def test_a_lock_that_was_taken_over_stops_whoever_held_it(
         first.check()
         with ObjectLock(hidden(url), "lock", url) as second:
             assert clock.slept_s > object_lock.STALE_S
-            with pytest.raises(StoreError, match="found that another conversion took it over"):
+            with pytest.raises(StoreError, match="found that another command took it over"):
                 first.check()
             second.check()
     assert beside(url) == set()
@@ -87,3 +91,67 @@ def test_a_lock_holds_although_answers_get_lost(
         lock.check()
     assert beside(url) == set()
     assert len(proxy.spoilt) >= 4
+
+
+@pytest.fixture
+def held(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> list[ObjectLock]:
+    """Return the locks that are taken; the first is renewed whenever somebody waits."""
+    locks: list[ObjectLock] = []
+    enter = ObjectLock.__enter__
+
+    def entered(self: ObjectLock) -> ObjectLock:
+        locks.append(enter(self))
+        return locks[-1]
+
+    monkeypatch.setattr(ObjectLock, "__enter__", entered)
+    clock.while_asleep = lambda: locks[-1]._renew()
+    return locks
+
+
+def test_while_a_command_changes_a_store_every_other_is_refused(
+    url: str, raw: Path, held: list[ObjectLock]
+) -> None:
+    nimprep.convert(raw, url, **OPTIONS)
+    before = below(url)
+    words = rf"found one at work, process {os.getpid()} on "
+    changes = [
+        lambda: resplit(url, seed=3),
+        lambda: nimprep.convert(raw, url, overwrite=True, seed=4, **OPTIONS),
+    ]
+    with changing(url):
+        for change in changes:
+            with pytest.raises(StoreError, match=words):
+                change()
+    assert below(url) == before
+    assert beside(url) == {"out.zarr"}
+
+    def progress(step: str, frames: int) -> Callable[[], None]:
+        with pytest.raises(StoreError, match=f"({words}|found one whose conversion was cut short)"):
+            resplit(url, seed=3)
+        return lambda: None
+
+    nimprep.convert(raw, url, overwrite=True, progress=progress, **OPTIONS)
+    assert below(url) == before
+    changes[0]()
+    assert nimprep.open_store(url).attributes["split"]["seed"] == 3
+    assert beside(url) == {"out.zarr"}
+
+
+def test_a_split_whose_lock_was_taken_over_writes_nothing(
+    url: str, raw: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    storage = ObjectStorage(str(nimprep.convert(raw, url, **OPTIONS).path))
+    before = below(url)
+    assign = resplit_module.assign_splits
+
+    def slowly(*arguments: object) -> object:
+        # As on a machine that slept: the lock is somebody else's by now.
+        hidden(url).write("lock", [b"of another process"])
+        clock.slept_s += 60.0
+        return assign(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(resplit_module, "assign_splits", slowly)
+    with pytest.raises(StoreError, match="found that another command took it over"):
+        resplit(storage, seed=3)
+    assert storage.before_write is None
+    assert below(url) == before

@@ -274,6 +274,30 @@ def killed_when_it_is_there(mortals: Mortals, source: Path, store: Path) -> dict
     raise AssertionError("expected a change of names within so many steps")
 
 
+@pytest.mark.parametrize("spoilt", [b"", b"joined 12", b"../a " + b"0" * 64, b"\xff\0\0"])
+@pytest.mark.parametrize("atomic", [True, False], ids=["at once", "one by one"])
+def test_a_note_of_changing_names_that_a_fault_spoilt_costs_no_store(
+    tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path, atomic: bool, spoilt: bytes
+) -> None:
+    source, store = tiny
+    there = {p.name for p in tmp_path.iterdir()}
+    nimprep.append_frames(source, store)
+    after = contents(store)
+    note, spoils = tmp_path / ".s.zarr.partial" / "append" / "publishing", 0
+    for step in range(20):
+        shutil.rmtree(store)
+        shutil.copytree(tmp_path / "old.zarr", store)
+        if mortals.run("append", source, store, step=step, atomic=atomic) == 0:
+            break
+        if note.exists():
+            note.write_bytes(spoilt)
+            spoils += 1
+        nimprep.append_frames(source, store, skip_existing=True)
+        assert contents(store) == after
+        assert {p.name for p in tmp_path.iterdir()} == there
+    assert spoils >= 3, "before, at and after the change of names"
+
+
 def test_what_a_kill_at_the_last_step_left_is_done_and_said_so(
     tiny: tuple[Path, Path], mortals: Mortals, tmp_path: Path
 ) -> None:

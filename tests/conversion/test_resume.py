@@ -299,7 +299,7 @@ def test_of_two_conversions_into_one_target_the_second_is_refused(
         second = run(gmrp, tmp_path / "s.zarr", "--shard-length", "2")
         assert first.poll() is None
     assert second.returncode == 1
-    assert "expected no other conversion into it, found one at work" in second.stderr
+    assert "expected nobody else to change it, found one at work" in second.stderr
     _, errors = first.communicate(timeout=PATIENCE_S)
     assert first.returncode == 0, errors
     assert validate_store(tmp_path / "s.zarr", deep=True).problems == []

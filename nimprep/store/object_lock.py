@@ -91,7 +91,7 @@ class ObjectLock:
             self._renew()
         if self._lost:
             raise StoreError(
-                f"{self._what}: expected to hold its lock, found that another conversion took it "
+                f"{self._what}: expected to hold its lock, found that another command took it "
                 f"over after {STALE_S:.0f} s without a sign of life; that one goes on"
             )
 
@@ -133,7 +133,7 @@ class ObjectLock:
                 return version
             if watched is None and not stale:
                 warnings.warn(
-                    f"{self._what}: an earlier conversion, {_holder(data)}, left its lock or is at "
+                    f"{self._what}: an earlier command, {_holder(data)}, left its lock or is at "
                     f"work; watching it for up to {STALE_S:.0f} s",
                     stacklevel=5,
                 )
@@ -142,7 +142,7 @@ class ObjectLock:
 
     def _held(self, data: bytes) -> StoreError:
         return StoreError(
-            f"{self._what}: expected no other conversion into it, found one at work, "
+            f"{self._what}: expected nobody else to change it, found one at work, "
             f"{_holder(data)}; wait for it, or choose another name"
         )
 
