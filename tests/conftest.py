@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import os
+import random
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests import leftovers
 from tests.processes import Processes
 
 PROJECT = Path(__file__).resolve().parent.parent
+
+# Everywhere the same examples, for as long as they take: what fails once fails again.
+settings.register_profile(
+    "same", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("same")
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +41,26 @@ def processes() -> Iterator[Processes]:
     """Start processes that end with the test, however that ends."""
     with Processes() as started:
         yield started
+
+
+@pytest.fixture(autouse=True)
+def _same_chance_in_every_order() -> None:
+    """Begin each test with the same random numbers, whichever tests came before."""
+    random.seed(0)
+    np.random.seed(0)  # noqa: NPY002 - what libraries draw from
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(0)
+
+
+@pytest.fixture(autouse=True)
+def _folder_and_environment_are_left_as_they_were() -> Iterator[None]:
+    before = Path.cwd(), dict(os.environ)
+    yield
+    after = Path.cwd(), dict(os.environ)
+    for _, environment in (before, after):
+        environment.pop("PYTEST_CURRENT_TEST", None)
+    os.chdir(before[0])
+    assert after == before
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -45,7 +45,7 @@ def test_accuracy_of_nothing_is_nan() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_confusion_matrix_equals_its_plain_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     label = rng.choice(np.array([0, 1, 2, 255], np.uint8), (5, 7))
@@ -120,7 +120,7 @@ def test_frames_are_pooled_by_adding_their_counts() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 5, 256]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_scores_equal_their_plain_twin(seed: int, levels: int) -> None:
     rng = np.random.default_rng(seed)
     road = rng.random((10, 10)) > 0.6

@@ -7,6 +7,7 @@ import os
 import select
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -67,9 +68,7 @@ class Cluster:
     @contextmanager
     def gate(self) -> Iterator[Gate]:
         """Let whoever begins a unit stand still until the gate opens, as it does at the end."""
-        folder = self._folder / f"gate{time.monotonic_ns()}"
-        folder.mkdir()
-        gate = Gate(folder)
+        gate = Gate(Path(tempfile.mkdtemp(dir=self._folder)))
 
         def shut(arrived: str, gate: str) -> None:
             from nimprep.conversion import distributed as module

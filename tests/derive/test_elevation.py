@@ -47,7 +47,7 @@ def test_elevation_is_the_height_of_each_point_over_a_given_plane(road):
     np.testing.assert_allclose(found, expected, atol=2e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-25, 25), st.floats(-4, 30), st.floats(0.4, 2.0), st.integers(0, 9))
 def test_noise_and_boards_move_the_plane_by_little(roll, pitch, height, seed):
     plane = plane_of(roll, pitch, height)

@@ -178,7 +178,7 @@ def test_a_row_alone_has_the_slope_along_itself():
     assert angle_deg(edge(depth, CAMERA)[20], unit((0.5, 0, -1))).max() < 0.01
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(hnp.arrays(np.float32, SHAPES, elements=METRES), st.sampled_from([None, 0.0, 0.01, 10.0]))
 def test_normals_are_unit_where_depth_is_and_look_at_the_camera(depth, noise):
     camera = camera_of(depth)
@@ -189,7 +189,7 @@ def test_normals_are_unit_where_depth_is_and_look_at_the_camera(depth, noise):
     assert np.all(np.sum(found * rays(camera), axis=-1) < 1e-6)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     hnp.arrays(
         np.float32, SHAPES, elements=st.floats(0, width=32, allow_infinity=False, allow_nan=False)

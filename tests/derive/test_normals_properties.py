@@ -44,7 +44,7 @@ def big_scene():
     return depth
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(hnp.arrays(np.float32, SHAPES, elements=METRES), st.booleans())
 def test_normals_are_unit_where_depth_is_and_look_at_the_camera(depth, sign_filter):
     camera = camera_of(depth)
@@ -57,7 +57,7 @@ def test_normals_are_unit_where_depth_is_and_look_at_the_camera(depth, sign_filt
     assert np.all(np.sum(found * rays(camera), axis=-1) < 1e-6)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     hnp.arrays(
         np.float32, SHAPES, elements=st.floats(0, width=32, allow_infinity=False, allow_nan=False)

@@ -57,7 +57,7 @@ def test_a_plane_becomes_0_however_the_camera_looks_at_it(road, hidden):
     )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.floats(-25, 25), st.floats(-4, 30), st.floats(0.4, 2.0), st.integers(0, 9), st.floats(0, 0.3)
 )

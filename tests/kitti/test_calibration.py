@@ -161,7 +161,7 @@ TOKENS = (
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_text_gives_transforms_or_an_error_that_names_it(data: st.DataObject) -> None:
     words = re.split(r"([ \n])", calibration_text())
     for _ in range(data.draw(st.integers(0, 4))):

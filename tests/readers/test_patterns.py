@@ -25,7 +25,7 @@ def by_regular_expression(parts: list[str], name: str, *, lazy: bool) -> str | N
 
 
 @given(before=PARTS, after=PARTS, name=st.text("abB/{x}\n", max_size=10), lazy=st.booleans())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_it_takes_what_a_regular_expression_takes(
     before: list[str], after: list[str], name: str, lazy: bool
 ) -> None:

@@ -27,7 +27,7 @@ torch = pytest.importorskip("torch")
 import nimprep.torch.transforms as T  # noqa: E402, N812
 
 CAMERA = Camera(fx=60.0, fy=70.0, cx=28.3, cy=11.6, width=63, height=45)
-FEW = settings(max_examples=25, deadline=None)
+FEW = settings(max_examples=25)
 
 
 ROAD = np.array([-0.1, -0.9, -np.sqrt(0.18), 1.2])
