@@ -52,13 +52,18 @@ def _same_chance_in_every_order() -> None:
         sys.modules["torch"].manual_seed(0)
 
 
+READ_BY_NIMPREP = ("NIMPREP_", "NUMBA_", "AWS_", "AZURE_", "GOOGLE_", "PYTHON")
+"""How variables begin that tell here; libraries set others as they are imported."""
+
+
 @pytest.fixture(autouse=True)
 def _folder_and_environment_are_left_as_they_were() -> Iterator[None]:
-    before = Path.cwd(), dict(os.environ)
+    def found() -> tuple[Path, dict[str, str]]:
+        return Path.cwd(), {k: v for k, v in os.environ.items() if k.startswith(READ_BY_NIMPREP)}
+
+    before = found()
     yield
-    after = Path.cwd(), dict(os.environ)
-    for _, environment in (before, after):
-        environment.pop("PYTEST_CURRENT_TEST", None)
+    after = found()
     os.chdir(before[0])
     assert after == before
 

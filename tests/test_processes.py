@@ -1,4 +1,4 @@
-"""No test leaves a process behind, and one that would is named: shown by tests that would."""
+"""No test leaves anything behind, and one that would is named: shown by tests that would."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are f
 SLEEP = [sys.executable, "-c", "import signal; signal.pause()"]
 
 TESTS = f"""
-import subprocess, sys
+import os, subprocess, sys
 import pytest
 from tests import leftovers
 
@@ -72,6 +72,14 @@ def test_leaves_a_process():
     start(SLEEP)
 
 
+def test_leaves_a_variable():
+    os.environ["NIMPREP_X"] = "1"
+
+
+def test_leaves_its_folder(tmp_path):
+    os.chdir(tmp_path)
+
+
 def test_leaves_a_childs_child():
     done = subprocess.run([sys.executable, "-c", ORPHAN], stdout=-1, text=True, check=True)
     print("started", done.stdout)
@@ -109,9 +117,11 @@ def test_what_a_test_leaves_is_ended_and_its_test_named(tmp_path: Path) -> None:
         check=False,
     )
     said = done.stdout
-    assert re.search("1 failed, 6 passed, 3 errors", said)
+    assert re.search("1 failed, 8 passed, 5 errors", said)
     for name in ("leaves_a_process", "leaves_a_childs_child"):
         assert f"test_these.py::test_{name} left process " in said
+    for name in ("leaves_a_variable", "leaves_its_folder"):
+        assert f"ERROR test_these.py::test_{name} - " in said
     assert "the tests left process" in said
     assert "fixture shared_and_left of " in said
     started = re.findall(r"started (\d+)", said)

@@ -20,6 +20,7 @@ from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
 from tests.conversion.test_append import write_frames
 from tests.fakes import contents, write_gmrp
+from tests.processes import Processes, same_code
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
@@ -209,24 +210,23 @@ with locked_folder(Path(sys.argv[1])):
 
 @pytest.mark.filterwarnings("ignore:.*no locks:UserWarning")
 def test_what_a_killed_process_left_instead_of_a_lock_keeps_nobody_out(
-    change: Change, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    change: Change, tmp_path: Path, processes: Processes
 ) -> None:
     before = names(tmp_path)
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(change.store)],
+    process = processes.start(
+        [sys.executable, "-c", HOLD, change.store],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-    ) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "held\n"
-            # Somebody who has locks sees it too.
-            with pytest.raises(StoreError, match=f"found one at work, process {process.pid} on"):
-                change.split(lambda: None)
-        finally:
-            process.kill()
-    assert process.returncode == -signal.SIGKILL
+        env=same_code(),
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    # Somebody who has locks sees it too.
+    with pytest.raises(StoreError, match=f"found one at work, process {process.pid} on"):
+        change.split(lambda: None)
+    process.kill()
+    assert process.wait() == -signal.SIGKILL
     assert (hidden_folder(change.store) / MARKER).exists()
     change.split(lambda: None)
     assert nimprep.open_store(change.store).attributes["split"]["seed"] == 3
