@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,5 +70,9 @@ def _folder_and_environment_are_left_as_they_were() -> Iterator[None]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """See every fixture made: a conftest's own hooks do not see those of a session."""
+    """Prepare what no fixture can."""
+    # A conftest's own hooks would not see the fixtures of a session.
     config.pluginmanager.register(leftovers, "leftovers")
+    # What a shell starts in the background, and all that that starts, it makes deaf to Ctrl-C.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

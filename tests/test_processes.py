@@ -91,6 +91,11 @@ def test_fails_and_has_its_process_ended(processes):
     assert process.poll() is not None
 
 
+def test_starts_what_hears_ctrl_c():
+    interrupt = "import os, signal; os.kill(os.getpid(), signal.SIGINT)"
+    assert subprocess.run([sys.executable, "-c", interrupt], stderr=-3).returncode == -2
+
+
 def test_uses_a_fixture_that_leaves_a_process(shared_and_left):
     pass
 """
@@ -108,8 +113,11 @@ def test_what_a_test_leaves_is_ended_and_its_test_named(tmp_path: Path) -> None:
     (tmp_path / "test_these.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
     options = ["-p", "no:randomly", "-p", "tests.conftest", "-s", "-rA"]
+    # As a shell starts what it is to run in the background.
+    deaf = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+    deaf += "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", *options, "test_these.py"],
+        [sys.executable, "-c", deaf, "-m", "pytest", *options, "test_these.py"],
         cwd=tmp_path,
         env=same_code(),
         capture_output=True,
@@ -117,7 +125,7 @@ def test_what_a_test_leaves_is_ended_and_its_test_named(tmp_path: Path) -> None:
         check=False,
     )
     said = done.stdout
-    assert re.search("1 failed, 8 passed, 5 errors", said)
+    assert re.search("1 failed, 9 passed, 5 errors", said)
     for name in ("leaves_a_process", "leaves_a_childs_child"):
         assert f"test_these.py::test_{name} left process " in said
     for name in ("leaves_a_variable", "leaves_its_folder"):
