@@ -52,7 +52,7 @@ def pillow_header(data: bytes, path: Path) -> ImageHeader:
     name, parse = next(found for start, found in _FORMATS.items() if data.startswith(start))
     try:
         return parse(data, path)
-    except (DecodeError, MemoryError):
+    except (DecodeError, MemoryError, ImportError):
         raise
     except Exception as error:  # in files made to deceive, Pillow trips over anything
         reason = str(error) or type(error).__name__

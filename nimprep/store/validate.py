@@ -80,10 +80,10 @@ def validate_store(
     report.frames = len(store)
     check_tables(store, report)
     try:
-        recipe_from(attributes["modalities"])
+        _check_recipe(attributes["modalities"])
         check_arrays(store, report)
-    except Exception as error:  # zarr's codecs raise whatever their libraries do
-        report.add(f"arrays: expected them readable, found {_first_line(error)}")
+    except StoreError as error:
+        report.add(f"arrays: expected them readable, found {error}")
     try:
         check_consolidated(store, report)
     except StoreError as error:
@@ -93,6 +93,18 @@ def validate_store(
 
         check_pixels(store, report, progress)
     return report
+
+
+# What the values of a document cause where it is taken apart. No wider than around that: a fault of
+# the program, or a lack of memory, is no fault of the store.
+_MALFORMED = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
+
+
+def _check_recipe(modalities: dict[str, Any]) -> None:
+    try:
+        recipe_from(modalities)
+    except _MALFORMED as error:
+        raise StoreError(_first_line(error)) from error
 
 
 def _first_line(error: Exception) -> str:
@@ -212,11 +224,17 @@ def _attributes(storage: Storage, name: str, spec: ArraySpec, *, table: bool) ->
 
     document = read_document(storage, f"{name}/{ROOT}")
     if table:
-        check_table(document, spec)
+        try:
+            check_table(document, spec)
+        except ValueError as error:
+            raise StoreError(f"{name}: {error}") from error
     elif problems := layout_problems(document, spec):
         raise StoreError(f"{name}: {problems[0]}")
-    files = MemoryFiles({f"{name}/{ROOT}": json.dumps(document).encode()})
-    return dict(zarr.open_array(files.zarr, path=name, mode="r", zarr_format=3).attrs)
+    files = MemoryFiles({f"{name}/{ROOT}": json.dumps(document).encode()}).zarr
+    try:
+        return dict(zarr.open_array(files, path=name, mode="r", zarr_format=3).attrs)
+    except _MALFORMED as error:
+        raise StoreError(f"{name}: {_first_line(error)}") from error
 
 
 def _shard_problem(array: ImageArray, shard: int) -> str:
