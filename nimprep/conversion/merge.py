@@ -15,7 +15,7 @@ import numpy.typing as npt
 from nimprep import __version__
 from nimprep.conversion.joining import Chunks, StoreChunks, depth_counts, join_shards
 from nimprep.conversion.kinds import check_alike, normal_dtype, padded_size, shard_length
-from nimprep.conversion.plan import check_apart, local_folder
+from nimprep.conversion.plan import check_apart, local_folder, warn_of_padding
 from nimprep.conversion.provenance import (
     joined_fixed,
     joined_metadata,
@@ -151,6 +151,11 @@ class _Merge:
                 f"{first.path}: expected a codec of {', '.join(PRESETS)}, found {codec!r}"
             )
         sizes = [padded_size(store) for store in self._stores]
+        shapes: dict[tuple[int, int], list[str]] = {}
+        for store in self._stores:
+            for size, frame_id in zip(store.tables.image_size.tolist(), store.ids, strict=True):
+                shapes.setdefault((size[0], size[1]), []).append(frame_id)
+        warn_of_padding(shapes, self._stores[0].path)
         return StoreLayout(
             frames=self._frames,
             height=max(height for height, _ in sizes),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -82,8 +83,44 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
     return tuple(chosen)
 
 
-def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
+WASTE = 2
+"""Times the pixels that frames have which a store may hold before that is said."""
+
+
+def warn_of_padding(shapes: Mapping[tuple[int, int], Sequence[str]], where: object) -> None:
+    """Warn where some large frames have all others padded to a multiple of what they are.
+
+    Parameters
+    ----------
+    shapes : mapping of (height, width) to frame ids
+    where : object
+        What has them, for the message.
+    """
+    height, width = max(h for h, _ in shapes), max(w for _, w in shapes)
+    frames = sum(len(ids) for ids in shapes.values())
+    own = sum(h * w * len(ids) for (h, w), ids in shapes.items())
+    padded = height * width * frames
+    if padded <= WASTE * own:
+        return
+    usual = max(shapes, key=lambda shape: len(shapes[shape]))
+    large = [i for (h, w), ids in shapes.items() if h == height or w == width for i in ids]
+    warnings.warn(
+        f"{where}: every frame is padded to the largest, {width}x{height} pixels (of {len(large)} "
+        f"of {frames} frames, first {large[0]!r}), while most are {usual[1]}x{usual[0]}: the store "
+        f"holds {padded / 1e6:.1f} million pixels for {own / 1e6:.1f}, and converting and reading "
+        f"take about {padded / own:.0f} times as long; convert those frames into a store of their "
+        "own",
+        stacklevel=2,
+    )
+
+
+def plan_layout(reader: Reader, options: ConvertOptions, *, alone: bool = True) -> StoreLayout:
     """Fix the store's shape from the frames' headers and the options.
+
+    Parameters
+    ----------
+    alone : bool
+        Whether these are all the frames: then it is said where they are padded to a multiple.
 
     Raises
     ------
@@ -92,6 +129,8 @@ def plan_layout(reader: Reader, options: ConvertOptions) -> StoreLayout:
     """
     modalities = plan_modalities(reader, options)
     shapes = frame_shapes(reader, skip_bad=options.on_error == "skip")
+    if alone:
+        warn_of_padding(shapes, reader.root)
     return StoreLayout(
         frames=len(reader.ids),
         height=max(height for height, _ in shapes),

@@ -143,7 +143,7 @@ class Run:
             margins = self._journal.begun_margins(plan)
         if margins is not None:
             self._reader = CroppedReader(self._reader, margins)
-        layout = plan_layout(self._reader, self._options)
+        layout = plan_layout(self._reader, self._options, alone=self._base is None)
         if self._base is not None:
             layout = replace(layout, height=self._base.height, width=self._base.width)
         store = self._workspace.store

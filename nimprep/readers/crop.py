@@ -148,7 +148,7 @@ def find_invalid_sides(
             raise LayoutError(f"{reader.root}: expected depth for --crop auto, found none")
         return (depth_m > 0).any(axis=1), (depth_m > 0).any(axis=0)
 
-    height, width = shapes.pop()
+    height, width = next(iter(shapes))
     rows, columns = np.zeros(height, dtype=bool), np.zeros(width, dtype=bool)
     for frame_rows, frame_columns in map_in_order(valid_sides, reader.ids, workers):
         rows |= frame_rows
@@ -156,8 +156,8 @@ def find_invalid_sides(
     return Margins(*_ends(rows), *_ends(columns))
 
 
-def frame_shapes(reader: Reader, *, skip_bad: bool = False) -> set[tuple[int, int]]:
-    """Return the different (height, width) that frames have, by their headers.
+def frame_shapes(reader: Reader, *, skip_bad: bool = False) -> dict[tuple[int, int], list[str]]:
+    """Return the different (height, width) that frames have, by their headers, and who has each.
 
     Parameters
     ----------
@@ -169,11 +169,11 @@ def frame_shapes(reader: Reader, *, skip_bad: bool = False) -> set[tuple[int, in
     DecodeError
         A header cannot be read; or none can.
     """
-    shapes = set()
+    shapes: dict[tuple[int, int], list[str]] = {}
     bad: DecodeError | None = None
     for frame_id in reader.ids:
         try:
-            shapes.add(reader.shape(frame_id))
+            shapes.setdefault(reader.shape(frame_id), []).append(frame_id)
         except DecodeError as error:
             if not skip_bad:
                 raise

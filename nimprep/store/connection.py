@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import threading
 import time
 import weakref
 from collections.abc import Callable
@@ -72,6 +73,20 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
+_loading = threading.Lock()
+
+
+def load_obstore() -> None:
+    """Import all of obstore, one thread at a time.
+
+    Its modules import each other: threads that begin at different ones would wait for one another,
+    and find it half imported.
+    """
+    with _loading:
+        import obstore.exceptions
+        import obstore.store  # noqa: F401
+
+
 def requesting(
     method: Callable[Concatenate[S, P], R],
 ) -> Callable[Concatenate[S, P], R]:
@@ -82,6 +97,7 @@ def requesting(
         if _forked:
             value: R = relay().call(self, method.__name__, arguments, named)
             return value
+        load_obstore()
         from obstore.exceptions import BaseError
 
         key = f"/{arguments[0]}" if arguments and isinstance(arguments[0], str) else ""

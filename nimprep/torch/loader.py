@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Literal
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nimprep.errors import ArrayError
+from nimprep.errors import ArrayError, NimprepError
 from nimprep.parallel import available_cores, in_order
 from nimprep.store.storage import LocalStorage
 from nimprep.torch.collation import Batch, collate
@@ -41,6 +42,18 @@ class _Pending:
             return dict(self.batch)
         batch = collate(results)
         return {name: _pinned(value) for name, value in batch.items()} if self._pinned else batch
+
+
+def _check_owner(owner: int) -> None:
+    """Raise where a process goes on with an iterator that came to it by a fork.
+
+    A fork leaves the threads behind: their results would be waited for for ever.
+    """
+    if os.getpid() != owner:
+        raise NimprepError(
+            f"StoreLoader: expected its iterator in the process that began it, {owner}, found it "
+            f"in one forked from there, {os.getpid()}; begin another one here with iter()"
+        )
 
 
 def _pinned(value: Any) -> Any:
@@ -196,13 +209,16 @@ class StoreLoader:
 
     def _run(self, batches: list[list[int]], epoch: int) -> Iterator[dict[str, Any]]:
         spare: list[Batch] = []
+        owner = os.getpid()
         pool = ThreadPoolExecutor(self.num_threads, thread_name_prefix="nimprep-loader")
 
         def submit(indices: list[int]) -> _Pending:
+            _check_owner(owner)
             return self._submit(pool, indices, epoch, spare)
 
         try:
             for pending in in_order(submit, batches, self.prefetch + 1):
+                _check_owner(owner)
                 batch = pending.result()
                 self._start += 1
                 yield batch
@@ -211,7 +227,8 @@ class StoreLoader:
             self._epoch, self._start, self._begun = epoch + 1, 0, False
         finally:
             # Reached by an error and by leaving the loop too; waits for the frames in the works.
-            pool.shutdown(wait=True, cancel_futures=True)
+            if os.getpid() == owner:
+                pool.shutdown(wait=True, cancel_futures=True)
 
     def _submit(
         self, pool: ThreadPoolExecutor, indices: list[int], epoch: int, spare: list[Batch]

@@ -4,6 +4,7 @@ import http.client
 import os
 import pickle
 import random
+import subprocess
 import sys
 import threading
 import time
@@ -278,3 +279,25 @@ def test_a_request_counts_once_at_the_server(url: str, proxy: Proxy) -> None:
     storage.read_range("a", 1, 3)
     assert [repr(r).split("/")[-1] for r in proxy.requests] == ["a", "a bytes=-2", "a bytes=1-3"]
     assert all(isinstance(r, Request) for r in proxy.requests)
+
+
+def test_many_threads_may_be_the_first_to_make_requests(url: str, proxy: Proxy) -> None:
+    code = """
+import sys, threading
+from nimprep.store.objects import ObjectStorage
+storage, errors = ObjectStorage(sys.argv[1]), []
+ready = threading.Barrier(16)
+def work(n):
+    ready.wait()
+    try:
+        storage.write(f"k/{n}", [b"1"]) if n % 2 else storage.read_range("none", 0, 1)
+    except Exception as error:
+        if "expected an object, found none" not in str(error): errors.append(repr(error))
+threads = [threading.Thread(target=work, args=(n,)) for n in range(16)]
+[t.start() for t in threads]; [t.join() for t in threads]
+sys.exit(str(errors[:1]) if errors else 0)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, url], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")

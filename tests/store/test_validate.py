@@ -257,3 +257,16 @@ def test_every_schema_is_itself_valid() -> None:
     for name in names:
         Draft202012Validator.check_schema(load_schema(name))
         assert load_schema(name)["$id"].startswith(f"urn:nimprep:schema:{name}:")
+
+
+@pytest.mark.parametrize("fault", [RuntimeError, MemoryError, ImportError, ZeroDivisionError])
+@pytest.mark.parametrize("place", ["layout_problems", "recipe_from", "map_in_order", "check_table"])
+def test_a_fault_of_the_program_is_none_of_the_stores(
+    store: Path, place: str, fault: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*arguments: object, **named: object) -> None:
+        raise fault("a bug")
+
+    monkeypatch.setattr(f"nimprep.store.validate.{place}", broken)
+    with pytest.raises(fault, match="a bug"):
+        validate_store(store)

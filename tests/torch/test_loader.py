@@ -1,3 +1,6 @@
+import os
+import select
+import signal
 import threading
 from pathlib import Path
 
@@ -5,7 +8,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, DistributedSampler
 
-from nimprep.errors import ArrayError, StoreError
+from nimprep.errors import ArrayError, NimprepError, StoreError
 from nimprep.torch import StoreDataset, StoreLoader
 from tests.torch.stores import FRAMES, make_store
 
@@ -192,3 +195,37 @@ def test_the_loader_can_ask_for_samples_as_stored(path: Path) -> None:
 def test_what_is_no_option_is_refused(path: Path, options: dict[str, object]) -> None:
     with pytest.raises(ArrayError, match=f"{next(iter(options))}: expected"):
         StoreLoader(StoreDataset(path, None, "rgb"), **options)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="only systems with fork can do this")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize("taken", [0, 1])
+def test_an_iterator_that_comes_to_a_process_by_a_fork_is_refused_there(
+    path: Path, taken: int
+) -> None:
+    batches = iter(StoreLoader(StoreDataset(path, None, "rgb"), 2, num_threads=1))
+    first = next(batches)
+    rest = [next(batches) for _ in range(taken)]
+    source, sink = os.pipe()
+    child = os.fork()
+    if child == 0:
+        # Nothing of pytest's may run here: the answer goes through the pipe, and that is all.
+        try:
+            next(batches)
+            said = "went on"
+        except NimprepError as error:
+            said = str(error)
+        except BaseException as error:
+            said = repr(error)
+        os.write(sink, said.encode())
+        os._exit(0)
+    os.close(sink)
+    answered = select.select([source], [], [], 60)[0]
+    os.kill(child, signal.SIGKILL) if not answered else None
+    said = os.read(source, 1000).decode() if answered else "hung"
+    os.waitpid(child, 0)
+    os.close(source)
+    assert said.startswith("StoreLoader: expected its iterator in the process that began it")
+    assert f"forked from there, {child}" in said
+    left = [batch["id"] for batch in (first, *rest, *batches)]
+    assert [i for some in left for i in some] == list(StoreDataset(path, None, "rgb").store.ids)
