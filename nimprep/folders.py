@@ -5,6 +5,7 @@ Single files: see `nimprep.files`.
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import shutil
@@ -127,7 +128,10 @@ def whole_folder(
 def made(folder: Path) -> Iterator[None]:
     """Make a folder and those above it; after an error take back what is new and empty."""
     new = [path for path in (folder, *folder.parents) if not path.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder)) from error
     try:
         yield
     except BaseException:
