@@ -24,7 +24,10 @@ from nimprep.errors import StoreError
 from nimprep.readers.crop import Margins
 from nimprep.store.storage import Storage
 
-_PLAN, _UNITS, _FAILED, _PACKED = "plan.json", "units", "failed.json", "packed"
+PLAN = "plan.json"
+"""Where the plan is kept: without it nothing that is kept counts."""
+
+_UNITS, _FAILED = "units", "failed.json"
 
 _AT_ONCE = 16
 """Records read at once: over a network each takes its time, and each is of some 100 KB."""
@@ -103,18 +106,22 @@ class Journal:
             "base": self._base,
         }
         data = seal(plan)
-        self._storage.write(_PLAN, [data])
+        self._storage.write(PLAN, [data])
         self._units = _units(unseal(data))
 
     def plan(self) -> dict[str, Any] | None:
         """Return the plan that is kept; None = none, or one that a fault of the disk spoilt."""
-        data = self._storage.read(_PLAN)
-        try:
-            plan = None if data is None else unseal(data)
-            self._units = [] if plan is None else _units(plan)
-        except (ValueError, KeyError, TypeError):
-            return None
-        return plan
+        # An answer that was cut short may be whole the second time; all that was done hangs on it.
+        for _ in range(2):
+            data = self._storage.read(PLAN)
+            if data is None:
+                break
+            with suppress(ValueError, KeyError, TypeError):
+                plan = unseal(data)
+                self._units = _units(plan)
+                return plan
+        self._units = []
+        return None
 
     def begun_margins(self, plan: Mapping[str, Any]) -> Margins | None:
         """Return the margins that a plan cuts off."""
@@ -191,15 +198,6 @@ class Journal:
     def forget(self, number: int) -> None:
         """Let a unit count as not done."""
         self._storage.remove(_unit_key(number))
-
-    @property
-    def packed(self) -> bool:
-        """Whether the gaps of skipped frames are closed."""
-        return self._storage.read(_PACKED) is not None
-
-    def note_packed(self) -> None:
-        """Remember that the gaps of skipped frames are closed."""
-        self._storage.write(_PACKED, [b""])
 
     def records(self) -> dict[int, UnitRecord]:
         """Return the records kept, by the unit's number; what cannot be read is not done.

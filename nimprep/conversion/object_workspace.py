@@ -13,6 +13,7 @@ import json
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 
+from nimprep.conversion.journal import PLAN
 from nimprep.conversion.workspace import Workspace, open_workspace
 from nimprep.errors import StoreError
 from nimprep.store.connection import RequestError
@@ -116,7 +117,10 @@ def open_object_workspace(target: ObjectStorage, *, overwrite: bool) -> Iterator
         complete = _check_target(target)
         workspace = ObjectWorkspace(target, hidden, lock)
         if complete:
-            # What is kept is of a conversion that had its end, or of another store.
+            # What is kept is of a conversion that had its end, or of another store. The plan by its
+            # name: of what a listing leaves out nothing counts without it.
+            if workspace.journal.read(PLAN) is not None:
+                workspace.journal.remove(PLAN)
             workspace.journal.remove("")
             if not overwrite:
                 raise StoreError(

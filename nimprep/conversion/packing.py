@@ -1,19 +1,23 @@
-"""Moving compressed chunks between shards, so that frames lie close without being encoded anew."""
+"""Moving compressed chunks between shards, so that frames lie close without being encoded anew.
+
+Cut short at any moment it goes on: every shard is then either in its place or waits for it, which
+the shards themselves tell.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from nimprep.conversion.contents import held, packed_contents
+from nimprep.conversion.records import UnitRecord
 from nimprep.errors import StoreError
+from nimprep.store.seal import chunk_checksum
 from nimprep.store.shards import encode_shard, split_shard
 from nimprep.store.storage import Storage
-from nimprep.store.writer import StoreLayout, StoreWriter
+from nimprep.store.writer import StoreWriter
 
 _PACKED = "packed"
 """Where packed shards wait until all are there."""
-
-_MARKER = f"{_PACKED}/done"
-"""There once they are."""
 
 
 def is_packed(lengths: Sequence[int], shard_length: int) -> bool:
@@ -21,47 +25,85 @@ def is_packed(lengths: Sequence[int], shard_length: int) -> bool:
     return all(n == shard_length for n in lengths[:-1]) and (not lengths or lengths[-1] > 0)
 
 
-def pack_shards(storage: Storage, layout: StoreLayout, lengths: Sequence[int]) -> None:
-    """Close the gaps that skipped frames left, in every array.
+def packing_goes_on(writer: StoreWriter, records: Sequence[UnitRecord]) -> bool:
+    """Return whether every packed shard is in its place, or waits for it.
 
-    Cut short at any moment, it can be called again; once it has returned and that is noted,
-    `forget_packing` removes what tells how far it had come. Held in memory: three shards.
+    Raises
+    ------
+    StoreError
+        The place cannot be reached.
+    """
+    contents = packed_contents(writer, records)
+    there = held(writer, contents)
+    left = {key: chunks for key, chunks in contents.items() if key not in there}
+    return held(writer, left, f"{_PACKED}/") == left.keys()
+
+
+def pack_shards(writer: StoreWriter, records: Sequence[UnitRecord]) -> None:
+    """Close the gaps that skipped frames left, in every array; held in memory: three shards.
 
     Parameters
     ----------
-    lengths : sequence of int
-        Frames in each shard as it is.
+    records : sequence of UnitRecord
+        Of every unit, in order.
+
+    Raises
+    ------
+    StoreError
+        A shard is not the one that its unit's record tells of, or it cannot be written.
     """
-    writer = StoreWriter(storage, layout)
-    if storage.read(_MARKER) is None:
-        for modality in layout.modalities:
-            keys = [writer.shard_key(modality, n) for n in range(len(lengths)) if lengths[n]]
-            for number, chunks in enumerate(_regrouped(storage, keys, layout.shard_length)):
-                key = f"{_PACKED}/{writer.shard_key(modality, number)}"
-                storage.write(key, encode_shard(chunks, layout.shard_length))
-        storage.write(_MARKER, [b""])
-    for key in storage.keys(_PACKED):
-        if key != _MARKER:
-            storage.move(key, key.removeprefix(f"{_PACKED}/"))
-    for modality in layout.modalities:
-        for number in range(-(-sum(lengths) // layout.shard_length), len(lengths)):
+    storage, contents = writer.storage, packed_contents(writer, records)
+    if not packing_goes_on(writer, records):
+        there = held(writer, contents)
+        for modality in writer.layout.modalities:
+            for number, chunks in enumerate(_regrouped(writer, modality, records)):
+                key = writer.shard_key(modality, number)
+                if key not in there:
+                    parts = encode_shard(chunks, writer.layout.shard_length)
+                    storage.write(f"{_PACKED}/{key}", parts)
+    # By their names: of shards that a listing left out the old ones would stay.
+    for key in sorted(contents.keys() - held(writer, contents)):
+        storage.move(f"{_PACKED}/{key}", key)
+    frames = sum(len(record.frames) for record in records)
+    for modality in writer.layout.modalities:
+        for number in range(-(-frames // writer.layout.shard_length), len(records)):
+            # With its folders where it has some, and where not, by its name.
             storage.remove(f"{modality}/c/{number}")
+            storage.remove(writer.shard_key(modality, number))
+    if lost := contents.keys() - held(writer, contents):
+        raise StoreError(_foreign(storage, min(lost)))
+    forget_packing(storage)
 
 
 def forget_packing(storage: Storage) -> None:
-    """Remove what `pack_shards` keeps until it is noted that it was done."""
+    """Remove what waits for its place."""
     storage.remove(_PACKED)
 
 
-def _regrouped(storage: Storage, keys: Sequence[str], length: int) -> Iterator[list[bytes]]:
+def _regrouped(
+    writer: StoreWriter, modality: str, records: Sequence[UnitRecord]
+) -> Iterator[list[bytes]]:
+    storage, length = writer.storage, writer.layout.shard_length
     waiting: list[bytes] = []
-    for key in keys:
+    for record in records:
+        if not record.frames:
+            continue
+        key = writer.shard_key(modality, record.number)
         data = storage.read(key)
-        if data is None:
-            raise StoreError(f"{storage}/{key}: expected a shard, found none")
-        waiting += split_shard(data, length, f"{storage}/{key}")
+        chunks = [] if data is None else split_shard(data, length, f"{storage}/{key}")
+        expected = [frame.chunk_crc32c[modality] for frame in record.frames]
+        if [chunk_checksum(chunk) for chunk in chunks] != expected:
+            raise StoreError(_foreign(storage, key))
+        waiting += chunks
         while len(waiting) >= length:
             yield waiting[:length]
             del waiting[:length]
     if waiting:
         yield waiting
+
+
+def _foreign(storage: Storage, key: str) -> str:
+    return (
+        f"{storage}/{key}: expected a shard of the frames that were encoded, found another or "
+        "none; the same command makes it again"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import warnings
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -13,12 +14,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.conversion.contents import lost_units
 from nimprep.conversion.job import Base, Job
 from nimprep.conversion.journal import Journal, LostRecordsError
 from nimprep.conversion.local import encode_units as encode_units_here
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
-from nimprep.conversion.packing import forget_packing, is_packed, pack_shards
+from nimprep.conversion.packing import forget_packing, is_packed, pack_shards, packing_goes_on
 from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_modalities, plan_splits
 from nimprep.conversion.records import UnitRecord, depth_percentiles, source_digest, tables
 from nimprep.conversion.sources import frame_states, listed_state
@@ -134,9 +136,8 @@ class Run:
         skip = self._options.on_error == "skip"
         states = frame_states(self._reader, skip_bad=skip)
         plan = None if self._options.restart else self._journal.plan()
-        self._anew = False
         if plan is None:
-            self._clear()
+            self._workspace.clear()
             margins = self._margins(start)
         else:
             self._journal.check(plan, self._options, states)
@@ -149,18 +150,17 @@ class Run:
         store = self._workspace.store
         self.job = Job(self._source, self._options, margins, layout, states, store, self._base)
         if plan is not None:
-            self._drop_lost()
-            self._drop_mended(plan)
-            # Shards that have moved up cannot be told from those of a unit that is done again.
-            if self._journal.packed and self._journal.missing():
-                self._clear()
-        run = None if plan is None or self._anew else plan["run"]
-        self._journal.begin(self._options, margins, states, run)
-        StoreWriter(self._workspace.store, layout).begin(self._describe(self._reader.ids))
+            self._keep(plan)
+        self._journal.begin(self._options, margins, states, None if plan is None else plan["run"])
+        self._begin_store()
 
-    def _clear(self) -> None:
-        self._workspace.clear()
-        self._anew = True
+    def _begin_store(self) -> None:
+        """Write a root that is no other's: what a cluster is late with must not come between."""
+        run = {"run": secrets.token_hex(8)}
+        self._writer().begin({**self._describe(self._reader.ids), **run})
+
+    def _writer(self) -> StoreWriter:
+        return StoreWriter(self._workspace.store, self.job.layout)
 
     def _margins(self, start: Progress) -> Margins | None:
         crop = self._options.crop
@@ -170,33 +170,24 @@ class Run:
         skip = self._options.on_error == "skip"
         return find_invalid_sides(self._reader, self._workers, done, skip_bad=skip)
 
-    def _drop_lost(self) -> None:
-        """Forget the units whose shards are not there, such as those of a store in its place."""
-        there = set(self._workspace.store.keys())
-        writer = StoreWriter(self._workspace.store, self.job.layout)
-        records = self._journal.records()
-        frames = sum(len(record.frames) for record in records.values())
-        shards = range(-(-frames // self.job.layout.shard_length))
-        for record in records.values():
-            numbers = shards if self._journal.packed else [record.number] if record.frames else []
-            keys = {writer.shard_key(m, n) for m in self.job.layout.modalities for n in numbers}
-            if keys - there:
-                self._drop(record)
+    def _keep(self, plan: dict[str, Any]) -> None:
+        """Forget the units that are to be done again, the others' shards being there."""
+        found = self._journal.records()
+        records = [record for _, record in sorted(found.items())]
+        again = {record.number for record in records if self._is_mended(record, plan)}
+        undone = len(records) < len(self.job.units())
+        if again or undone or not packing_goes_on(self._writer(), records):
+            forget_packing(self._workspace.store)
+            # Such as shards of a store in its place, or moved up already into the gaps.
+            again |= lost_units(self._writer(), records)
+        for number in again:
+            self._journal.forget(number)
 
-    def _drop(self, record: UnitRecord) -> None:
-        """Let a unit be done again; all of them once shards have moved up into the gaps."""
-        if self._journal.packed:
-            self._clear()
-        else:
-            self._journal.forget(record.number)
-
-    def _drop_mended(self, plan: dict[str, Any]) -> None:
-        """Forget the units with bad frames that were mended since, or may no longer be skipped."""
-        for record in self._journal.records().values():
-            bad = [frame.id for frame in record.skipped]
-            mended = any(plan["files"].get(i) != listed_state(self.job.states[i]) for i in bad)
-            if mended or (bad and self._options.on_error == "stop"):
-                self._drop(record)
+    def _is_mended(self, record: UnitRecord, plan: dict[str, Any]) -> bool:
+        """Return whether bad frames of a unit were mended since, or may no longer be skipped."""
+        bad = [frame.id for frame in record.skipped]
+        mended = any(plan["files"].get(i) != listed_state(self.job.states[i]) for i in bad)
+        return mended or (bool(bad) and self._options.on_error == "stop")
 
     def _describe(self, ids: Sequence[str]) -> dict[str, Any]:
         return describe(self._reader, self.job.layout, self._options, ids)
@@ -239,13 +230,11 @@ class Run:
         Raises
         ------
         StoreError
-            One cannot be kept, or shards have moved up already.
+            One cannot be kept.
         """
         try:
             return self._journal.whole()
         except LostRecordsError:
-            if self._journal.packed:
-                raise
             self._encode(self._journal.missing(), lambda: None)
             return self._journal.whole()
 
@@ -275,12 +264,9 @@ class Run:
 
     def _pack(self, records: Sequence[UnitRecord]) -> None:
         lengths = [len(record.frames) for record in records]
-        if is_packed(lengths, self.job.layout.shard_length):
-            return
-        if not self._journal.packed:
-            pack_shards(self._workspace.store, self.job.layout, lengths)
-            self._journal.note_packed()
-        forget_packing(self._workspace.store)
+        if not is_packed(lengths, self.job.layout.shard_length):
+            self._begin_store()
+            pack_shards(self._writer(), records)
 
 
 def _encoder(options: ConvertOptions) -> Callable[..., Generator[UnitRecord]]:

@@ -75,6 +75,11 @@ def encode_shard(chunks: Sequence[bytes], capacity: int) -> list[bytes]:
     return [*chunks, index + struct.pack("<I", google_crc32c.value(index))]
 
 
+def index_size(capacity: int) -> int:
+    """Return the bytes of the index that a shard for so many frames ends with."""
+    return 16 * capacity + 4
+
+
 def read_index(path: Path, capacity: int) -> npt.NDArray[np.uint64]:
     """Return a shard's index, (capacity, 2) uint64: offset and length of each chunk.
 
@@ -83,7 +88,7 @@ def read_index(path: Path, capacity: int) -> npt.NDArray[np.uint64]:
     StoreError
         The file is missing, too short, or its index is damaged.
     """
-    size = 16 * capacity + 4
+    size = index_size(capacity)
     with open_plain(path, "a shard", StoreError) as (file, end):
         file.seek(max(0, end - size))
         data = file.read(size)
@@ -98,7 +103,7 @@ def parse_index(data: bytes, capacity: int, end: int, where: str) -> npt.NDArray
     StoreError
         It is too short or damaged, or names bytes that are not there.
     """
-    size = 16 * capacity + 4
+    size = index_size(capacity)
     if len(data) < size:
         raise StoreError(f"{where}: expected a shard of {size} bytes or more, found {end}")
     if google_crc32c.value(data[:-4]) != int.from_bytes(data[-4:], "little"):
@@ -119,7 +124,7 @@ def split_shard(data: bytes, capacity: int, where: str) -> list[bytes]:
     StoreError
         The index or a chunk is damaged.
     """
-    index = parse_index(data[-(16 * capacity + 4) :], capacity, len(data), where)
+    index = parse_index(data[-index_size(capacity) :], capacity, len(data), where)
     chunks = []
     for offset, length in index[index[:, 0] != MISSING]:
         chunk = data[int(offset) : int(offset) + int(length)]

@@ -20,6 +20,7 @@ from nimprep.store import connection, object_lock
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.table_specs import table_specs
 from nimprep.store.validate import validate_store
+from nimprep.store.writer import StoreWriter
 from tests.cloud.conftest import CAMERA
 from tests.cloud.server import BUCKET, Proxy, Request
 from tests.cloud.test_reading import run
@@ -424,3 +425,74 @@ def test_a_record_that_an_answer_leaves_out_costs_no_frame(
     if state(url) != "7 frames":
         nimprep.convert(raw, url, **OPTIONS)
     assert below(url) == contents(local)
+
+
+def cut_before_the_end(source: Path, url: str, **options: object) -> None:
+    """Convert, and end it when every unit is done and nothing is left but to complete the store."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StoreWriter, "finish", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            nimprep.convert(source, url, **options)
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["fresh", "gone on with"])
+@pytest.mark.parametrize("bad", [(), ("000001", "000004")], ids=["without gaps", "with gaps"])
+def test_no_listing_has_to_be_right(
+    bad: tuple[str, ...],
+    begun: bool,
+    url: str,
+    raw: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source, options = damaged(raw, tmp_path / "raw", *bad), {**OPTIONS, "on_error": "skip"}
+    nimprep.convert(source, tmp_path / "here.zarr", **options)
+    if begun:
+        cut_before_the_end(source, url, **options)
+    with monkeypatch.context() as patch:
+        patch.setattr(ObjectStorage, "keys", lambda self, prefix="": [])
+        nimprep.convert(source, url, **options)
+    assert below(url) == contents(tmp_path / "here.zarr")
+
+
+@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("fault", ["gone", "cut short", "another's"])
+def test_a_shard_that_is_spoilt_while_nothing_runs_is_made_again(
+    fault: str, number: int, url: str, raw: Path, local: Path
+) -> None:
+    cut_before_the_end(raw, url, **OPTIONS)
+    storage, place = ObjectStorage(url), "label/c/{}/0/0".format
+    data, other = storage.read(place(number)), storage.read(place((number + 1) % 4))
+    assert data is not None
+    assert other is not None
+    if fault == "gone":
+        storage.remove(place(number))
+    else:
+        storage.write(place(number), [data[:-9] if fault == "cut short" else other])
+    nimprep.convert(raw, url, **OPTIONS)
+    assert below(url) == contents(local)
+
+
+def test_what_a_listing_leaves_of_an_older_plan_counts_for_nothing(
+    url: str, raw: Path, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = damaged(raw, tmp_path / "bad", "000004")
+    with pytest.raises(DecodeError, match="000004"):
+        nimprep.convert(source, url, workers=1, **OPTIONS)
+    # Somebody puts another store, a complete one, there.
+    other = write_gmrp(tmp_path / "other", frames=7)
+    shutil.copy(raw / "rgb" / "000005.png", other / "rgb" / "000000.png")
+    nimprep.convert(other, tmp_path / "other.zarr", **OPTIONS)
+    for key, data in contents(tmp_path / "other.zarr").items():
+        ObjectStorage(url).write(key, [data])
+    shutil.copy(raw / "label" / "000004.png", source / "label" / "000004.png")
+    keys = ObjectStorage.keys
+
+    def fewer(self: ObjectStorage, prefix: str = "") -> list[str]:
+        return [] if self.url.endswith("/journal") else keys(self, prefix)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ObjectStorage, "keys", fewer)
+        nimprep.convert(source, url, overwrite=True, **OPTIONS)
+    assert below(url)["rgb/c/0/0/0/0"] == contents(local)["rgb/c/0/0/0/0"]
+    assert validate_store(url, deep=True).problems == []

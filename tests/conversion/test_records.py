@@ -134,6 +134,58 @@ def test_a_record_spoilt_while_nothing_runs_is_made_again(
     assert contents(target) == contents(whole)
 
 
+@pytest.mark.parametrize("number", range(UNITS))
+@pytest.mark.parametrize("kind", ["cut short", "empty", "no JSON", "gone", "another unit's"])
+def test_a_shard_spoilt_while_nothing_runs_is_made_again(
+    kind: str, number: int, raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few, rest = write_gmrp(tmp_path / "few", 2), write_frames(tmp_path / "rest", range(2, FRAMES))
+    for name in ("grown", "quiet"):
+        nimprep.convert(few, tmp_path / f"{name}.zarr", shard_length=LENGTH)
+    append_frames(rest, tmp_path / "quiet.zarr")
+    tasks: list[tuple[str, Callable[[], object], Path]] = [
+        ("s", lambda: nimprep.convert(raw, tmp_path / "s.zarr", shard_length=LENGTH), whole),
+        ("grown", lambda: append_frames(rest, tmp_path / "grown.zarr"), tmp_path / "quiet.zarr"),
+    ]
+    for name, task, expected in tasks:
+        with monkeypatch.context() as patch:
+            patch.setattr(Run, "whole", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+            with pytest.raises(KeyboardInterrupt):
+                task()
+        place = tmp_path / f".{name}.zarr.partial" / ("append" if name == "grown" else "")
+        shards = place / "store" / "label" / "c"
+        shard, other = (shards / str(n % UNITS) / "0" / "0" for n in (number, number + 1))
+        DAMAGES[kind](shard, other)
+        task()
+        assert contents(tmp_path / f"{name}.zarr") == contents(expected)
+
+
+def test_a_plan_whose_reading_was_cut_short_is_read_again(
+    raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, read, cuts = tmp_path / "s.zarr", LocalStorage.read, []
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "finish", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            nimprep.convert(raw, target, shard_length=LENGTH)
+
+    def once(self: LocalStorage, key: str, limit: int | None = None) -> bytes | None:
+        data = read(self, key, limit)
+        if key == "plan.json" and data and not cuts:
+            cuts.append(key)
+            return data[:-5]
+        return data
+
+    def progress(step: str, frames: int) -> Callable[[], None]:
+        assert step == "going on converting"
+        return lambda: None
+
+    monkeypatch.setattr(LocalStorage, "read", once)
+    nimprep.convert(raw, target, shard_length=LENGTH, progress=progress)
+    assert cuts
+    assert contents(target) == contents(whole)
+
+
 def test_records_that_cannot_be_kept_end_it_in_one_line(
     raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,7 +206,7 @@ def test_records_that_cannot_be_kept_end_it_in_one_line(
 
 
 @pytest.mark.parametrize("number", range(UNITS))
-def test_a_record_spoilt_once_shards_have_moved_up_begins_anew(
+def test_a_record_spoilt_once_shards_have_moved_up_costs_no_frame(
     number: int, raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = shutil.copytree(raw, tmp_path / "bad")
@@ -168,7 +220,6 @@ def test_a_record_spoilt_once_shards_have_moved_up_begins_anew(
         with pytest.raises(KeyboardInterrupt):
             nimprep.convert(bad, target, **options)
     journal = tmp_path / ".s.zarr.partial" / "journal"
-    assert (journal / "packed").exists()
     cut(journal / "units" / f"{number}.json", journal)
     nimprep.convert(bad, target, **options)
     assert contents(target) == contents(tmp_path / "quiet.zarr")

@@ -1,0 +1,89 @@
+"""What shards hold, told by the checksums that their chunks end with: records have them too.
+
+So whether a shard is the one that a record tells of is read from the shard itself. Neither a
+listing nor a note of how far a conversion had come has to be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
+
+from nimprep.conversion.records import UnitRecord
+from nimprep.errors import StoreError
+from nimprep.store.connection import RequestError
+from nimprep.store.shards import index_size, parse_index, read_checksums
+from nimprep.store.storage import Storage
+from nimprep.store.writer import StoreWriter
+
+Contents = Mapping[str, Sequence[int]]
+"""By a shard's key, what its chunks end with, in order."""
+
+_AT_ONCE = 16
+"""Shards looked at at once: over a network each takes its time."""
+
+
+def unit_contents(writer: StoreWriter, records: Sequence[UnitRecord]) -> dict[str, list[int]]:
+    """Return what the shards of units hold as they were written, one of each modality per unit."""
+    return {
+        writer.shard_key(modality, record.number): [f.chunk_crc32c[modality] for f in record.frames]
+        for record in records
+        if record.frames
+        for modality in writer.layout.modalities
+    }
+
+
+def packed_contents(writer: StoreWriter, records: Sequence[UnitRecord]) -> dict[str, list[int]]:
+    """Return what the shards of units hold once the gaps of skipped frames are closed."""
+    facts = list(chain.from_iterable(record.frames for record in records))
+    length = writer.layout.shard_length
+    return {
+        writer.shard_key(modality, number): [
+            frame.chunk_crc32c[modality] for frame in facts[start : start + length]
+        ]
+        for number, start in enumerate(range(0, len(facts), length))
+        for modality in writer.layout.modalities
+    }
+
+
+def lost_units(writer: StoreWriter, records: Sequence[UnitRecord]) -> set[int]:
+    """Return the numbers of the units of which a shard is gone, cut short or another one."""
+    there = held(writer, unit_contents(writer, records))
+    return {r.number for r in records if not unit_contents(writer, [r]).keys() <= there}
+
+
+def held(writer: StoreWriter, contents: Contents, below: str = "") -> set[str]:
+    """Return the keys, of these, of the shards that hold just these chunks.
+
+    Parameters
+    ----------
+    below : str
+        Put before each key to find the shard.
+
+    Raises
+    ------
+    StoreError
+        The place cannot be reached.
+    """
+    length = writer.layout.shard_length
+
+    def look(key: str) -> bool:
+        return _holds(writer.storage, f"{below}{key}", length, contents[key])
+
+    with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="nimprep") as pool:
+        return {key for key, there in zip(contents, pool.map(look, contents), strict=True) if there}
+
+
+def _holds(storage: Storage, key: str, length: int, expected: Sequence[int]) -> bool:
+    try:
+        data, end = storage.read_tail(key, index_size(length))
+        index = parse_index(data, length, end, f"{storage}/{key}")
+        found = read_checksums(storage, key, index, length)
+    except RequestError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        return False
+    except StoreError:
+        return False
+    return found == [*expected, *[None] * (length - len(expected))]
