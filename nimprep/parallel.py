@@ -9,10 +9,10 @@ import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from typing import Protocol, TypeVar
 
-from nimprep.errors import ArrayError
+from nimprep.errors import ArrayError, NimprepError
 
 Progress = Callable[[str, int], Callable[[], None]]
 """Called with a step's name and its number of frames; returns what to call after each frame."""
@@ -97,24 +97,55 @@ def run_rows(
     run_blocks(run, -(-height // rows), num_threads)
 
 
+@contextmanager
+def threads_for(count: int, name: str = "nimprep") -> Iterator[ThreadPoolExecutor]:
+    """Give a pool of threads for the context, which ends when they have.
+
+    In a process forked meanwhile there are none to wait for, and their locks may be held for ever.
+    """
+    owner = os.getpid()
+    pool = ThreadPoolExecutor(count, thread_name_prefix=name)
+    try:
+        yield pool
+    finally:
+        if os.getpid() == owner:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _check_owner(owner: int, name: str) -> None:
+    if os.getpid() != owner:
+        raise NimprepError(
+            f"{name}: expected its iterator in the process that began it, {owner}, found it "
+            f"in one forked from there, {os.getpid()}; begin another one here with iter()"
+        )
+
+
 def in_order(
-    submit: Callable[[Item], AnyTask], items: Iterable[Item], ahead: int
+    submit: Callable[[Item], AnyTask], items: Iterable[Item], ahead: int, name: str = "nimprep"
 ) -> Generator[AnyTask]:
     """Submit items and yield their tasks in order, at most `ahead` in the works.
 
     So memory stays bounded: whoever takes a task waits for it, and has a next one submitted only by
     asking for it. Tasks that nobody asks for any more, after an error too, are cancelled.
+
+    Raises
+    ------
+    NimprepError
+        A forked process goes on with it, in which nobody works on the tasks; `name` says whose.
     """
+    owner = os.getpid()
     waiting: deque[AnyTask] = deque()
     try:
         for item in items:
+            _check_owner(owner, name)
             waiting.append(submit(item))
             if len(waiting) >= ahead:
                 yield waiting.popleft()
         while waiting:
+            _check_owner(owner, name)
             yield waiting.popleft()
     finally:
-        for task in waiting:
+        for task in waiting if os.getpid() == owner else ():
             task.cancel()
 
 
@@ -127,7 +158,7 @@ def map_in_order(
     two results per thread (None = one thread per core) wait in memory.
     """
     threads = num_threads or available_cores()
-    with ThreadPoolExecutor(threads, thread_name_prefix="nimprep") as pool:
+    with threads_for(threads) as pool:
         tasks = in_order(lambda item: pool.submit(function, item), items, 2 * threads)
         with closing(tasks):
             for task in tasks:

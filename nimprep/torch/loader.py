@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Literal
@@ -12,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nimprep.errors import ArrayError, NimprepError
-from nimprep.parallel import available_cores, in_order
+from nimprep.errors import ArrayError
+from nimprep.parallel import available_cores, in_order, threads_for
 from nimprep.store.storage import LocalStorage
 from nimprep.torch.collation import Batch, collate
 from nimprep.torch.dataset import StoreDataset
@@ -42,18 +41,6 @@ class _Pending:
             return dict(self.batch)
         batch = collate(results)
         return {name: _pinned(value) for name, value in batch.items()} if self._pinned else batch
-
-
-def _check_owner(owner: int) -> None:
-    """Raise where a process goes on with an iterator that came to it by a fork.
-
-    A fork leaves the threads behind: their results would be waited for for ever.
-    """
-    if os.getpid() != owner:
-        raise NimprepError(
-            f"StoreLoader: expected its iterator in the process that began it, {owner}, found it "
-            f"in one forked from there, {os.getpid()}; begin another one here with iter()"
-        )
 
 
 def _pinned(value: Any) -> Any:
@@ -209,26 +196,19 @@ class StoreLoader:
 
     def _run(self, batches: list[list[int]], epoch: int) -> Iterator[dict[str, Any]]:
         spare: list[Batch] = []
-        owner = os.getpid()
-        pool = ThreadPoolExecutor(self.num_threads, thread_name_prefix="nimprep-loader")
 
         def submit(indices: list[int]) -> _Pending:
-            _check_owner(owner)
             return self._submit(pool, indices, epoch, spare)
 
-        try:
-            for pending in in_order(submit, batches, self.prefetch + 1):
-                _check_owner(owner)
+        # Left by an error and by leaving the loop too; waits for the frames in the works.
+        with threads_for(self.num_threads, "nimprep-loader") as pool:
+            for pending in in_order(submit, batches, self.prefetch + 1, "StoreLoader"):
                 batch = pending.result()
                 self._start += 1
                 yield batch
                 if self.reuse_buffers and pending.batch is not None:
                     spare.append(pending.batch)
-            self._epoch, self._start, self._begun = epoch + 1, 0, False
-        finally:
-            # Reached by an error and by leaving the loop too; waits for the frames in the works.
-            if os.getpid() == owner:
-                pool.shutdown(wait=True, cancel_futures=True)
+        self._epoch, self._start, self._begun = epoch + 1, 0, False
 
     def _submit(
         self, pool: ThreadPoolExecutor, indices: list[int], epoch: int, spare: list[Batch]
