@@ -7,11 +7,11 @@ listing nor a note of how far a conversion had come has to be right.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 
 from nimprep.conversion.records import UnitRecord
 from nimprep.errors import StoreError
+from nimprep.parallel import map_in_order
 from nimprep.store.connection import RequestError
 from nimprep.store.shards import index_size, parse_index, read_checksums
 from nimprep.store.storage import Storage
@@ -71,8 +71,8 @@ def held(writer: StoreWriter, contents: Contents, below: str = "") -> set[str]:
     def look(key: str) -> bool:
         return _holds(writer.storage, f"{below}{key}", length, contents[key])
 
-    with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="nimprep") as pool:
-        return {key for key, there in zip(contents, pool.map(look, contents), strict=True) if there}
+    there = map_in_order(look, contents, _AT_ONCE)
+    return {key for key, found in zip(contents, there, strict=True) if found}
 
 
 def _holds(storage: Storage, key: str, length: int, expected: Sequence[int]) -> bool:

@@ -6,18 +6,16 @@ the shards themselves tell.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 
-from nimprep.conversion.contents import held, packed_contents
+from nimprep.conversion.contents import Contents, held, packed_contents
 from nimprep.conversion.records import UnitRecord
 from nimprep.errors import StoreError
+from nimprep.store.extras import PACKED
 from nimprep.store.seal import chunk_checksum
 from nimprep.store.shards import encode_shard, split_shard
 from nimprep.store.storage import Storage
 from nimprep.store.writer import StoreWriter
-
-_PACKED = "packed"
-"""Where packed shards wait until all are there."""
 
 
 def is_packed(lengths: Sequence[int], shard_length: int) -> bool:
@@ -34,9 +32,13 @@ def packing_goes_on(writer: StoreWriter, records: Sequence[UnitRecord]) -> bool:
         The place cannot be reached.
     """
     contents = packed_contents(writer, records)
-    there = held(writer, contents)
+    return _others_wait(writer, contents, held(writer, contents))
+
+
+def _others_wait(writer: StoreWriter, contents: Contents, there: Set[str]) -> bool:
+    """Return whether the packed shards that are not in their place wait for it."""
     left = {key: chunks for key, chunks in contents.items() if key not in there}
-    return held(writer, left, f"{_PACKED}/") == left.keys()
+    return held(writer, left, f"{PACKED}/") == left.keys()
 
 
 def pack_shards(writer: StoreWriter, records: Sequence[UnitRecord]) -> None:
@@ -53,17 +55,17 @@ def pack_shards(writer: StoreWriter, records: Sequence[UnitRecord]) -> None:
         A shard is not the one that its unit's record tells of, or it cannot be written.
     """
     storage, contents = writer.storage, packed_contents(writer, records)
-    if not packing_goes_on(writer, records):
-        there = held(writer, contents)
+    there = held(writer, contents)
+    if not _others_wait(writer, contents, there):
         for modality in writer.layout.modalities:
             for number, chunks in enumerate(_regrouped(writer, modality, records)):
                 key = writer.shard_key(modality, number)
                 if key not in there:
                     parts = encode_shard(chunks, writer.layout.shard_length)
-                    storage.write(f"{_PACKED}/{key}", parts)
+                    storage.write(f"{PACKED}/{key}", parts)
     # By their names: of shards that a listing left out the old ones would stay.
-    for key in sorted(contents.keys() - held(writer, contents)):
-        storage.move(f"{_PACKED}/{key}", key)
+    for key in sorted(contents.keys() - there):
+        storage.move(f"{PACKED}/{key}", key)
     frames = sum(len(record.frames) for record in records)
     for modality in writer.layout.modalities:
         for number in range(-(-frames // writer.layout.shard_length), len(records)):
@@ -77,7 +79,7 @@ def pack_shards(writer: StoreWriter, records: Sequence[UnitRecord]) -> None:
 
 def forget_packing(storage: Storage) -> None:
     """Remove what waits for its place."""
-    storage.remove(_PACKED)
+    storage.remove(PACKED)
 
 
 def _regrouped(

@@ -21,7 +21,7 @@ from nimprep.store.spec import image_spec, stored_modalities
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.table_specs import table_specs
 
-_PACKED = "packed"
+PACKED = "packed"
 """Where shards wait for a moment while a conversion closes the gaps of frames left out."""
 
 _ROOT_FIELDS = {"zarr_format", "node_type", "attributes", "consolidated_metadata"}
@@ -38,12 +38,12 @@ def own_arrays(attributes: Any) -> set[str]:
 
 def is_own(key: str, arrays: Collection[str]) -> bool:
     """Return whether a key is one of those that nimprep writes, or left when it was killed."""
-    first, *rest = key.removeprefix(f"{_PACKED}/").split("/")
+    first, *rest = key.removeprefix(f"{PACKED}/").split("/")
     name = (rest or [first])[-1]
     if name.startswith(".") and name.endswith(PARTIAL):
         return True
     if not rest:
-        return key in (ROOT, f"{_PACKED}/done")
+        return key in (ROOT, f"{PACKED}/done")
     return first in arrays and (rest == [ROOT] or (len(rest) > 1 and _is_chunk(rest)))
 
 
