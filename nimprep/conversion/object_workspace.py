@@ -9,7 +9,6 @@ then the new ones come. Keys that are not nimprep's stay; where there are any, n
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 
@@ -19,7 +18,7 @@ from nimprep.errors import StoreError
 from nimprep.store.connection import RequestError
 from nimprep.store.extras import check_replaceable, is_own, own_arrays
 from nimprep.store.lock import hidden_objects, locked_objects
-from nimprep.store.metadata import ROOT, read_attributes, read_document
+from nimprep.store.metadata import ROOT, encode_document, read_attributes, read_document
 from nimprep.store.object_lock import ObjectLock
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage
@@ -66,7 +65,7 @@ class ObjectWorkspace:
         root = read_document(self.store, ROOT)
         attributes = root["attributes"]["nimprep"]
         attributes["complete"] = False
-        self.store.write(ROOT, [json.dumps(root, indent=2).encode() + b"\n"])
+        self.store.write(ROOT, [encode_document(root)])
         arrays = own_arrays(attributes)
         there = self.store.keys()
         keys = [key for key in there if is_own(key, arrays)]

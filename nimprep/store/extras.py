@@ -16,7 +16,7 @@ from typing import Any
 
 from nimprep.errors import StoreError
 from nimprep.folders import PARTIAL, link_tree
-from nimprep.store.metadata import ROOT, consolidated, read_document
+from nimprep.store.metadata import ROOT, consolidated, encode_document, read_document
 from nimprep.store.spec import image_spec, stored_modalities
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.table_specs import table_specs
@@ -84,9 +84,8 @@ def _extra_attributes(storage: Storage) -> list[str]:
     found += [f"attribute {name!r}" for name in root["attributes"].keys() - {"nimprep"}]
     for name, known in _known_attributes(root["attributes"]["nimprep"]).items():
         with suppress(StoreError):
-            attributes = read_document(storage, f"{name}/{ROOT}").get("attributes")
-            there = attributes.keys() if isinstance(attributes, dict) else set()
-            found += [f"attribute {key!r} of {name!r}" for key in there - known]
+            there = _attributes_of(storage, name)
+            found += [f"attribute {key!r} of {name!r}" for key in there.keys() - known]
     return sorted(found)
 
 
@@ -167,11 +166,11 @@ def carry_over(old: Path, new: Path) -> None:
         if not (old / name / ROOT).exists():
             continue
         if _add(copies[name]["attributes"], _attributes_of(storage, name)):
-            made.write(f"{name}/{ROOT}", [_encoded(copies[name])])
+            made.write(f"{name}/{ROOT}", [encode_document(copies[name])])
     copies.update({n: c for n, c in consolidated(root).items() if n.split("/")[0] in paths})
     found["consolidated_metadata"]["metadata"] = copies
     if json.dumps(found) != before:
-        made.write(ROOT, [_encoded(found)])
+        made.write(ROOT, [encode_document(found)])
 
 
 def _attributes_of(storage: Storage, name: str) -> dict[str, Any]:
@@ -184,10 +183,6 @@ def _add(attributes: dict[str, Any], more: dict[str, Any]) -> bool:
     missing = {name: value for name, value in more.items() if name not in attributes}
     attributes.update(missing)
     return bool(missing)
-
-
-def _encoded(document: dict[str, Any]) -> bytes:
-    return json.dumps(document, indent=2).encode() + b"\n"
 
 
 def discard(old: Path, target: Path) -> None:

@@ -32,6 +32,11 @@ def read_document(storage: Storage, key: str) -> dict[str, Any]:
     return _parsed(data, f"{storage}/{key}")
 
 
+def encode_document(document: dict[str, Any]) -> bytes:
+    """Return the bytes of a zarr.json, for people to read too."""
+    return json.dumps(document, indent=2).encode() + b"\n"
+
+
 def _parsed(data: bytes, where: str) -> dict[str, Any]:
     try:
         document = parse_json(data)
@@ -101,4 +106,4 @@ def write_attributes(store: Path | str | Storage, attributes: dict[str, Any]) ->
     storage = storage_from(store)
     document = read_document(storage, ROOT)
     document["attributes"] = {**document["attributes"], "nimprep": with_digest(attributes)}
-    storage.write(ROOT, [json.dumps(document, indent=2).encode() + b"\n"])
+    storage.write(ROOT, [encode_document(document)])
