@@ -208,7 +208,8 @@ class _Append:
             self._workspace.clear()
             return None
         # The store that has its name says what came of them, and not what is left of a journal.
-        self._ids = tuple(i for i in ours if i in frozenset(self._store.ids))
+        there = frozenset(self._store.ids)
+        self._ids = tuple(i for i in ours if i in there)
         left_out = self._store.attributes.get("skipped", [])
         self._skipped = [SkippedFrame(**frame) for frame in left_out if frame["id"] in ours]
         self._existing -= frozenset(self._ids)
