@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from nimprep.networks.densenet import DenseNet121
-from nimprep.networks.layers import conv, scaled
+from nimprep.networks.layers import conv, resized, scaled
 from nimprep.networks.network import Logits, Network
 
 RATES = (3, 6, 12, 18, 24)
@@ -37,11 +37,7 @@ class DenseASPP(Network):
         x = functional.relu(self.encoder(images[0]))
         for block in self.blocks:
             x = torch.cat([block(x), x], dim=1)
-        size = images[0].shape[2:]
-        up = functional.interpolate(
-            self.head(x), size=(size[0], size[1]), mode="bilinear", align_corners=False
-        )
-        return Logits(up)
+        return Logits(resized(self.head(x), images[0].shape[2:], align_corners=False))
 
 
 def _block(inputs: int, middle: int, growth: int, rate: int, *, norm: bool) -> nn.Sequential:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from nimprep.networks.edges import canny_edges
 from nimprep.networks.layers import ImagePooling, conv, conv_bn_relu, resized, scaled
@@ -151,7 +150,5 @@ class GSCNN(Network):
         pyramid += [branch(last) for branch in self.branches]
         up = resized(self.joined(torch.cat(pyramid, dim=1)), stages[1].shape[2:], True)
         logits = self.head(torch.cat([self.low(stages[1]), up], dim=1))
-        logits = functional.interpolate(
-            logits, size=(x.shape[2], x.shape[3]), mode="bilinear", align_corners=False
-        )
+        logits = resized(logits, x.shape[2:], align_corners=False)
         return GSCNNOutputs(logits, edge if auxiliary else None)

@@ -17,7 +17,8 @@ FIRST = (16, 48, 48, 96, 96)
 SECOND = (16, 16, 16, 36, 36)
 """Channels of the five stages, of the colour image's encoder and of the other's."""
 
-DECODER = (64, 64, 32)
+LAST = 32
+"""Channels of the decoder's map at half the size; at others they are both encoders' together."""
 
 
 def _conv(inputs: int, outputs: int, dilation: int = 1) -> nn.Sequential:
@@ -62,6 +63,7 @@ class MFNet(Network):
         super().__init__(inputs, classes)
         first = tuple(scaled(c, width, 4) for c in FIRST)
         second = tuple(scaled(c, width, 4) for c in SECOND)
+        last = scaled(LAST, width, 4)
         both = [a + b for a, b in zip(first, second, strict=True)]
         self.first = _encoder(inputs[0], first)
         self.second = _encoder(inputs[1], second)
@@ -70,8 +72,8 @@ class MFNet(Network):
             [
                 _conv(both[4], both[2]),
                 _conv(both[2], both[1]),
-                _conv(both[1], scaled(DECODER[2], width, 4)),
-                _conv(scaled(DECODER[2], width, 4), classes),
+                _conv(both[1], last),
+                _conv(last, classes),
             ]
         )
 
