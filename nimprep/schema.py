@@ -27,6 +27,11 @@ _DEEPEST = 64
 _QUOTED = 200
 
 
+def json_bytes(document: Any) -> bytes:
+    """Return a JSON file's bytes, laid out for people to read too."""
+    return json.dumps(document, indent=2).encode() + b"\n"
+
+
 @cache
 def load_schema(name: str) -> dict[str, Any]:
     """Return the schema ``schemas/<name>.schema.json``, from the wheel or the source tree."""

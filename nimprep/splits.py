@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any, Literal
 
 from nimprep.errors import SplitError
 from nimprep.files import write_whole
-from nimprep.schema import check_json, read_json
+from nimprep.schema import check_json, json_bytes, read_json
 
 SplitName = Literal["train", "val", "test"]
 
@@ -292,5 +291,5 @@ def write_split_file(
     SplitError
         The file cannot be written, or must not be.
     """
-    data = json.dumps(split_document(splits), indent=2).encode() + b"\n"
+    data = json_bytes(split_document(splits))
     write_whole(Path(path), data, *sources, overwrite=overwrite, error=SplitError)

@@ -35,6 +35,7 @@ EXCEPT = {
     ("cloud/test_objects.py", "threading.Timer"): "ends a forked process that would hang",
     ("cloud/test_objects.py", "os.fork"): "forked from this very process, and waited for",
     ("torch/test_loader.py", "os.fork"): "forked from this very process, and waited for",
+    ("test_parallel.py", "os.fork"): "forked from this very process, and waited for",
     ("conftest.py", "random.seed"): "makes all chance the same",
     ("conftest.py", "np.random.seed"): "makes all chance the same",
     ("conversion/cluster.py", "time.monotonic"): "how long to look for what comes surely",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import select
+import signal
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count as counted
@@ -127,3 +130,29 @@ def test_progress_hears_of_the_step_and_of_each_result_taken() -> None:
     assert (next(results), told[1:]) == ("8", ["done"])
     assert (list(results), told[1:]) == ([], ["done", "done"])
     assert list(map_frames("draw", str, [])) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="only systems with fork can do this")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_results_in_order_are_refused_in_a_process_forked_meanwhile() -> None:
+    results = map_in_order(lambda n: n, range(100), 2)
+    assert next(results) == 0
+    source, sink = os.pipe()
+    child = os.fork()
+    if child == 0:
+        # Nothing of pytest's may run here: the answer goes through the pipe, and that is all.
+        try:
+            said = f"went on to {next(results)}"
+        except BaseException as error:
+            said = str(error)
+        os.write(sink, said.encode())
+        os._exit(0)
+    os.close(sink)
+    answered = select.select([source], [], [], PATIENCE_S)[0]
+    if not answered:
+        os.kill(child, signal.SIGKILL)
+    said = os.read(source, 1000).decode() if answered else "hung"
+    os.waitpid(child, 0)
+    os.close(source)
+    assert said.startswith("nimprep: expected its iterator in the process that began it")
+    assert list(results) == list(range(1, 100))

@@ -15,10 +15,11 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from nimprep.conversion.journal import PLAN
 from nimprep.conversion.workspace import Workspace, open_workspace
 from nimprep.errors import StoreError
+from nimprep.schema import json_bytes
 from nimprep.store.connection import RequestError
 from nimprep.store.extras import check_replaceable, is_own, own_arrays
 from nimprep.store.lock import hidden_objects, locked_objects
-from nimprep.store.metadata import ROOT, encode_document, read_attributes, read_document
+from nimprep.store.metadata import ROOT, read_attributes, read_document
 from nimprep.store.object_lock import ObjectLock
 from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage
@@ -65,7 +66,7 @@ class ObjectWorkspace:
         root = read_document(self.store, ROOT)
         attributes = root["attributes"]["nimprep"]
         attributes["complete"] = False
-        self.store.write(ROOT, [encode_document(root)])
+        self.store.write(ROOT, [json_bytes(root)])
         arrays = own_arrays(attributes)
         there = self.store.keys()
         keys = [key for key in there if is_own(key, arrays)]

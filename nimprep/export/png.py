@@ -14,7 +14,6 @@ gravity. Where a store has that transform (KITTI), HHA made from the folder diff
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -26,6 +25,7 @@ from nimprep.errors import StoreError
 from nimprep.export.places import write_new
 from nimprep.kitti.images import png_bytes
 from nimprep.readers.description import group_of
+from nimprep.schema import json_bytes
 from nimprep.splits import split_document
 from nimprep.store.reader import Store
 
@@ -119,8 +119,3 @@ def group_pattern(groups: dict[str, str]) -> str | None:
         if all(group_of(frame_id, pattern) == group for frame_id, group in groups.items()):
             return pattern
     return None
-
-
-def json_bytes(document: Any) -> bytes:
-    """Return a JSON file's bytes."""
-    return json.dumps(document, indent=2).encode() + b"\n"

@@ -16,7 +16,8 @@ from typing import Any
 
 from nimprep.errors import StoreError
 from nimprep.folders import PARTIAL, link_tree
-from nimprep.store.metadata import ROOT, consolidated, encode_document, read_document
+from nimprep.schema import json_bytes
+from nimprep.store.metadata import ROOT, consolidated, read_document
 from nimprep.store.spec import image_spec, stored_modalities
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.table_specs import table_specs
@@ -166,11 +167,11 @@ def carry_over(old: Path, new: Path) -> None:
         if not (old / name / ROOT).exists():
             continue
         if _add(copies[name]["attributes"], _attributes_of(storage, name)):
-            made.write(f"{name}/{ROOT}", [encode_document(copies[name])])
+            made.write(f"{name}/{ROOT}", [json_bytes(copies[name])])
     copies.update({n: c for n, c in consolidated(root).items() if n.split("/")[0] in paths})
     found["consolidated_metadata"]["metadata"] = copies
     if json.dumps(found) != before:
-        made.write(ROOT, [encode_document(found)])
+        made.write(ROOT, [json_bytes(found)])
 
 
 def _attributes_of(storage: Storage, name: str) -> dict[str, Any]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nimprep.errors import StoreError
-from nimprep.schema import MAX_BYTES, parse_json
+from nimprep.schema import MAX_BYTES, json_bytes, parse_json
 from nimprep.store.access import storage_from
 from nimprep.store.seal import with_digest
 from nimprep.store.spec import check_version
@@ -30,11 +29,6 @@ def read_document(storage: Storage, key: str) -> dict[str, Any]:
     if data is None:
         raise StoreError(f"{storage}/{key}: expected a readable file, found none")
     return _parsed(data, f"{storage}/{key}")
-
-
-def encode_document(document: dict[str, Any]) -> bytes:
-    """Return the bytes of a zarr.json, for people to read too."""
-    return json.dumps(document, indent=2).encode() + b"\n"
 
 
 def _parsed(data: bytes, where: str) -> dict[str, Any]:
@@ -106,4 +100,4 @@ def write_attributes(store: Path | str | Storage, attributes: dict[str, Any]) ->
     storage = storage_from(store)
     document = read_document(storage, ROOT)
     document["attributes"] = {**document["attributes"], "nimprep": with_digest(attributes)}
-    storage.write(ROOT, [encode_document(document)])
+    storage.write(ROOT, [json_bytes(document)])

@@ -16,10 +16,11 @@ from nimprep.errors import StoreError
 from nimprep.folders import adopt, adopt_tree, place_of, refuse_inside, refuse_within, sync_folder
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
+from nimprep.schema import json_bytes
 from nimprep.store.exchange import exchange
 from nimprep.store.extras import check_replaceable, discard
 from nimprep.store.memory import MemoryFiles
-from nimprep.store.metadata import ROOT, encode_document, read_attributes
+from nimprep.store.metadata import ROOT, read_attributes
 from nimprep.store.seal import sealed
 from nimprep.store.shards import encode_shard
 from nimprep.store.spec import ArraySpec, ChunkCodec, chunk_codec, image_spec
@@ -209,7 +210,7 @@ class StoreWriter:
             "node_type": "group",
             "attributes": {"nimprep": {**attributes, "complete": False}},
         }
-        self.storage.write(ROOT, [encode_document(root)])
+        self.storage.write(ROOT, [json_bytes(root)])
 
     def shard_key(self, modality: str, shard: int) -> str:
         """Return where a shard of a modality lies."""
@@ -252,7 +253,7 @@ class StoreWriter:
         root["attributes"]["nimprep"] = sealed({**attributes, "complete": True}, chunks)
         for key, data in files.items():
             self.storage.write(key, [data])
-        self.storage.write(ROOT, [encode_document(root)])
+        self.storage.write(ROOT, [json_bytes(root)])
 
     def _create_images(self, group: zarr.Group, modality: str) -> None:
         from zarr.codecs import BloscCodec, Crc32cCodec
