@@ -54,7 +54,7 @@ class Derivation:
     describe : str
         "module:function", called with a `Recipe`, returns the `method` and `parameters` that a
         store's attributes say of it.
-    sources : tuple of str
+    made_from : tuple of str
         The modalities that it is made from.
     covers : {"depth", "depth or nothing", "at least depth"}
         Where there is some: exactly where depth is, or was filled in; there or nowhere, as where
@@ -67,7 +67,7 @@ class Derivation:
 
     make: str
     describe: str
-    sources: tuple[str, ...] = ("depth",)
+    made_from: tuple[str, ...] = ("depth",)
     covers: Literal["depth", "depth or nothing", "at least depth"] = "depth"
     gravity: bool = False
     masked: bool = False
@@ -309,10 +309,14 @@ MODALITIES: dict[str, Modality] = {
 """Every image a frame can hold, in the order in which they are listed everywhere."""
 
 
-def sources_of(names: Iterable[str]) -> set[str]:
+def given_for(names: Iterable[str]) -> set[str]:
     """Return the modalities of a dataset that these are, or are made from."""
     derived = {name: MODALITIES[name].derived for name in names}
-    return {s for name, made in derived.items() for s in (made.sources if made else (name,))}
+    return {
+        s
+        for name, derivation in derived.items()
+        for s in (derivation.made_from if derivation else (name,))
+    }
 
 
 def modality_name(name: str) -> str:

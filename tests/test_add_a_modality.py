@@ -23,7 +23,7 @@ COPIED = (
     "schemas",
     "pyproject.toml",
     "tests/__init__.py",
-    "tests/resealing.py",
+    "tests/checksums.py",
     "tests/test_modality.py",
 )
 
@@ -158,9 +158,9 @@ def test_python_reads_it_and_a_network_learns_from_it(copy: Path, said: dict[str
 def test_a_changed_pixel_of_it_is_found(copy: Path, said: dict[str, str], tmp_path: Path) -> None:
     store = Path(shutil.copytree(Path(said["folder"]) / "streets.zarr", tmp_path / "s.zarr"))
     code = (
-        "import zarr\nfrom pathlib import Path\nfrom tests.resealing import reseal\n"
+        "import zarr\nfrom pathlib import Path\nfrom tests.checksums import renew_checksums\n"
         "zarr.open_group('s.zarr', mode='r+')['distance'][0, 60, 40] += 9\n"
-        "reseal(Path('s.zarr'))\n"
+        "renew_checksums(Path('s.zarr'))\n"
     )
     done = python(copy, tmp_path, "-c", code)
     assert done.returncode == 0, done.stderr

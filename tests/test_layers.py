@@ -159,3 +159,10 @@ def test_every_public_name_is_there_and_documented() -> None:
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         nimprep.nothing  # noqa: B018
     assert importlib.import_module("nimprep.conversion.run").convert is nimprep.convert
+
+
+@pytest.mark.parametrize("row", LAYERS, ids="-".join)
+def test_no_two_modules_of_a_floor_have_one_name(row: list[str]) -> None:
+    there = [path for path in MODULES if part(path) in row and path.stem != "__init__"]
+    twice = {path.stem for path in there if [p.stem for p in there].count(path.stem) > 1}
+    assert not twice

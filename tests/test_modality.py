@@ -75,7 +75,7 @@ def test_the_names_of_the_release_before_are_still_there() -> None:
 def test_a_derived_modality_is_made_and_described_by_the_functions_it_names(name: str) -> None:
     derived = MODALITIES[name].derived
     assert derived is not None
-    assert set(derived.sources) <= set(MODALITIES) - set(DERIVED)
+    assert set(derived.made_from) <= set(MODALITIES) - set(DERIVED)
     for path in (derived.make, derived.describe):
         assert path.startswith("nimprep.derive.")
         assert resolve_name(path).__doc__

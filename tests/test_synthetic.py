@@ -10,10 +10,10 @@ import pytest
 from nimprep import Camera
 from nimprep.errors import CameraError, NimprepError
 from nimprep.synthetic import Scene, random_street, render_frame, render_scene
-from nimprep.synthetic.geometry import rotation_from_angles, unit
 from nimprep.synthetic.ground import Pothole, Stretch, Strip
 from nimprep.synthetic.raycast import FAR_M, NOTHING, Hits, cast, lit
 from nimprep.synthetic.scene import ANOMALY, BACKGROUND, DRIVABLE, Light, Solid
+from nimprep.synthetic.shapes import rotation_from_angles, unit
 from nimprep.synthetic.solids import Ball, Box, Cylinder, Pose
 from nimprep.synthetic.texture import Finish, Pattern
 from tests.naive.street import is_solid

@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep import __version__
+from nimprep.conversion.compatibility import check_frames, options_like, padded_size
 from nimprep.conversion.job import Base
-from nimprep.conversion.joining import StoreChunks, UnitChunks, depth_counts, join_shards
 from nimprep.conversion.journal import Journal
-from nimprep.conversion.kinds import check_frames, options_like, padded_size
 from nimprep.conversion.plan import check_apart, fixed_splits, frame_metadata, local_folder
 from nimprep.conversion.provenance import (
     joined_fixed,
@@ -34,6 +33,7 @@ from nimprep.conversion.records import (
     tables,
 )
 from nimprep.conversion.run import Run
+from nimprep.conversion.shard_assembly import StoreChunks, UnitChunks, depth_counts, join_shards
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import (
     LocalWorkspace,
@@ -46,10 +46,10 @@ from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import open_reader
 from nimprep.readers.subset import SubsetReader
 from nimprep.splits import SPLITS, extend_splits
+from nimprep.store.checksums import MEND
 from nimprep.store.extras import carry_over, check_growable
 from nimprep.store.metadata import read_attributes
 from nimprep.store.reader import Store, open_store
-from nimprep.store.seal import MEND
 from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
 from nimprep.store.writer import StoreLayout, StoreWriter
 

@@ -14,14 +14,14 @@ from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError, DecodeError
 from nimprep.frame import Frame
-from nimprep.modality import MODALITIES, sources_of
+from nimprep.modality import MODALITIES, given_for
 from nimprep.readers.base import Reader
+from nimprep.store.checksums import chunk_checksum
 from nimprep.store.frames import (
     depth_from_millimetres,
     depth_to_millimetres,
     to_integers,
 )
-from nimprep.store.seal import chunk_checksum
 from nimprep.store.shards import encode_chunk
 from nimprep.store.statistics import channel_sums
 from nimprep.store.writer import StoreLayout
@@ -77,7 +77,7 @@ def encode_frame(
         A file is damaged, holds what cannot be, or changed meanwhile; it is named.
     """
     state = frame_state(reader, frame_id) if state is None else state
-    wanted = sources_of(layout.modalities)
+    wanted = given_for(layout.modalities)
     if recipe.fill == "colorization":
         wanted.add("rgb")
     frame = reader.read(frame_id, wanted)

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep import __version__
-from nimprep.conversion.joining import Chunks, StoreChunks, depth_counts, join_shards
-from nimprep.conversion.kinds import check_alike, normal_dtype, padded_size, shard_length
+from nimprep.conversion.compatibility import check_alike, normal_dtype, padded_size, shard_length
 from nimprep.conversion.plan import check_apart, local_folder, warn_of_padding
 from nimprep.conversion.provenance import (
     joined_fixed,
@@ -24,6 +23,7 @@ from nimprep.conversion.provenance import (
     parts,
 )
 from nimprep.conversion.records import depth_percentiles
+from nimprep.conversion.shard_assembly import Chunks, StoreChunks, depth_counts, join_shards
 from nimprep.conversion.workspace import check_unchanged, open_workspace, root_digest
 from nimprep.errors import SplitError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
@@ -185,9 +185,9 @@ class _Merge:
         starts = [0, *accumulate(len(store) for store in self._stores)]
 
         def chunks(modality: str, frames: range) -> list[bytes]:
-            def one(frame: int) -> bytes:
-                number = int(np.searchsorted(starts, frame, side="right")) - 1
-                return sources[number].chunk(modality, frame - starts[number])
+            def one(index: int) -> bytes:
+                number = int(np.searchsorted(starts, index, side="right")) - 1
+                return sources[number].chunk(modality, index - starts[number])
 
             return list(pool.map(one, frames))
 

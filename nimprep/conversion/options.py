@@ -9,7 +9,7 @@ from typing import Literal
 
 from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError
-from nimprep.modality import MODALITIES, modality_name, sources_of
+from nimprep.modality import MODALITIES, given_for, modality_name
 from nimprep.readers import ReaderOptions
 from nimprep.readers.cameras import CameraSource, camera_from_file, camera_from_intrinsics
 from nimprep.splits import SPLIT_RULES
@@ -161,7 +161,7 @@ class ConvertOptions:
     @property
     def needs_depth(self) -> bool:
         """Whether any modality to be stored is depth or made from it."""
-        return self.modalities is None or "depth" in sources_of(self.modalities)
+        return self.modalities is None or "depth" in given_for(self.modalities)
 
     @property
     def recipe(self) -> Recipe:

@@ -12,7 +12,7 @@ from nimprep import __version__
 from nimprep.conversion.options import ConvertOptions
 from nimprep.derive.recipe import Recipe
 from nimprep.errors import LayoutError, StoreError
-from nimprep.modality import MODALITIES, Modality, sources_of
+from nimprep.modality import MODALITIES, Modality, given_for
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.schema import schema_problems
@@ -65,7 +65,7 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
         The store could not be opened: its attributes' schema does not know a modality.
     """
     given = {"rgb", "depth", *(["label"] if reader.info.classes else [])}
-    available = [name for name in MODALITIES if sources_of([name]) <= given]
+    available = [name for name in MODALITIES if given_for([name]) <= given]
     asked = options.modalities or tuple(n for n in available if not MODALITIES[n].on_request)
     for name in asked:
         if name not in available:

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.conversion.contents import lost_units
+from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, packing_goes_on
 from nimprep.conversion.job import Base, Job
 from nimprep.conversion.journal import Journal, LostRecordsError
 from nimprep.conversion.local import encode_units as encode_units_here
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
-from nimprep.conversion.packing import forget_packing, is_packed, pack_shards, packing_goes_on
 from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_modalities, plan_splits
 from nimprep.conversion.records import UnitRecord, depth_percentiles, source_digest, tables
+from nimprep.conversion.shard_contents import lost_units
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import Workspace
 from nimprep.errors import DecodeError, LayoutError, NimprepError

@@ -88,11 +88,11 @@ def draw_frames(
     return dict(zip(ids, map_frames("draw", draw, ids, progress), strict=True))
 
 
-def _photograph(store: Store, number: int) -> Picture:
-    height, width = store.camera(number).shape
+def _photograph(store: Store, index: int) -> Picture:
+    height, width = store.camera(index).shape
     if "rgb" not in store.arrays:
         return np.full((height, width, 3), NO_VALUE, np.uint8)
-    return np.ascontiguousarray(store.arrays["rgb"].read(number)[:height, :width])
+    return np.ascontiguousarray(store.arrays["rgb"].read(index)[:height, :width])
 
 
 def _overlay(

@@ -145,10 +145,10 @@ def _common_split(
     return splits[0]
 
 
-def read_label_of(store: Store, number: int) -> npt.NDArray[np.uint8]:
+def read_label_of(store: Store, index: int) -> npt.NDArray[np.uint8]:
     """Return a frame's label, (H, W), without reading its other images."""
-    height, width = store.camera(number).shape
-    label: npt.NDArray[Any] = store.arrays["label"].read(number)[:height, :width]
+    height, width = store.camera(index).shape
+    label: npt.NDArray[Any] = store.arrays["label"].read(index)[:height, :width]
     return label
 
 
@@ -169,7 +169,7 @@ def read_guess(store: Store, shape: tuple[int, ...], path: Path) -> npt.NDArray[
     return guess
 
 
-def _count_frame(store: Store, number: int, label: npt.NDArray[np.uint8], path: Path) -> Counts:
+def _count_frame(store: Store, index: int, label: npt.NDArray[np.uint8], path: Path) -> Counts:
     """Return a frame's confusion matrix in the order of the store's classes."""
     ids = [c.id for c in store.classes]
     guess = read_guess(store, label.shape, path)
@@ -179,11 +179,11 @@ def _count_frame(store: Store, number: int, label: npt.NDArray[np.uint8], path: 
     try:
         counts = confusion_matrix(label, guess, max(ids) + 1)
     except ArrayError as error:
-        raise StoreError(f"{store.path}: frame {store.ids[number]}: {error}") from error
+        raise StoreError(f"{store.path}: frame {store.ids[index]}: {error}") from error
     known = counts[np.ix_(ids, ids)]
     if known.sum() != counts.sum():
         raise StoreError(
-            f"{store.path}: frame {store.ids[number]}: expected labels {ids} and {IGNORE_LABEL}, "
+            f"{store.path}: frame {store.ids[index]}: expected labels {ids} and {IGNORE_LABEL}, "
             "found others; nimprep validate --deep says more"
         )
     return known

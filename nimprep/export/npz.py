@@ -20,7 +20,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The earliest time a zip can hold, for the same bytes every time."""
 
 
-def frame_arrays(store: Store, number: int) -> dict[str, npt.NDArray[Any]]:
+def frame_arrays(store: Store, index: int) -> dict[str, npt.NDArray[Any]]:
     """Return what a frame's file holds, by name; images are of the frame's own size.
 
     Returns
@@ -32,18 +32,18 @@ def frame_arrays(store: Store, number: int) -> dict[str, npt.NDArray[Any]]:
         `Frame` says. Always: `K` (3, 3) float64, pixels; `baseline_m`, `cam_to_road` (3, 4) and
         `gravity` (3,), NaN = none; `id`, `split` and `group`, text.
     """
-    frame, tables = store[number], store.tables
+    frame, tables = store[index], store.tables
     found: dict[str, npt.NDArray[Any]] = {}
     for modality in store.modalities:
         if (image := frame.image(modality)) is not None:
             found[MODALITIES[modality].attribute or modality] = image
     return found | {
-        "K": tables.intrinsics[number],
-        "baseline_m": tables.baseline[number : number + 1].reshape(()),
-        "cam_to_road": tables.cam_to_road[number],
-        "gravity": tables.gravity[number],
+        "K": tables.intrinsics[index],
+        "baseline_m": tables.baseline[index : index + 1].reshape(()),
+        "cam_to_road": tables.cam_to_road[index],
+        "gravity": tables.gravity[index],
         "id": np.array(frame.id),
-        "split": np.array(SPLIT_NAMES.get(int(tables.split[number]), "none")),
+        "split": np.array(SPLIT_NAMES.get(int(tables.split[index]), "none")),
         "group": np.array(frame.group),
     }
 

@@ -36,12 +36,12 @@ GROUP_PATTERNS = ("{group}/*", "{group}/**", "**/{group}_*", "**/{group}-*")
 """Patterns over ids that are tried to say the scenes, which a description cannot list."""
 
 
-def write_frame(store: Store, number: int, folder: Path, file: PurePosixPath) -> None:
+def write_frame(store: Store, index: int, folder: Path, file: PurePosixPath) -> None:
     """Write a frame's images, each at the frame's own size, pixels as the store has them."""
-    height, width = store.camera(number).shape
+    height, width = store.camera(index).shape
     for modality, name in FOLDERS.items():
         if modality in store.arrays:
-            image = store.arrays[modality].read(number)[:height, :width]
+            image = store.arrays[modality].read(index)[:height, :width]
             write_new(folder / name / file, png_bytes(np.ascontiguousarray(image)))
 
 
@@ -72,11 +72,11 @@ def write_records(store: Store, numbers: Sequence[int], folder: Path) -> None:
         write_new(folder / "description.json", json_bytes(description))
 
 
-def camera_document(store: Store, number: int) -> dict[str, Any]:
+def camera_document(store: Store, index: int) -> dict[str, Any]:
     """Return a frame's camera (schemas/camera.schema.json), and where it came from."""
-    baseline_m = float(store.tables.baseline[number])
+    baseline_m = float(store.tables.baseline[index])
     return {
-        **store.camera(number).to_dict(),
+        **store.camera(index).to_dict(),
         **({} if math.isnan(baseline_m) else {"baseline_m": baseline_m}),
         # No part of a camera, but a nominal one should not pass for a calibration.
         "origin": store.attributes["calibration"]["origin"],

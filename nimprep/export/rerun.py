@@ -142,11 +142,11 @@ def _annotations(store: Store) -> list[tuple[int, str, tuple[int, int, int]]]:
     return [*classes, (IGNORE_LABEL, "ignore", (40, 40, 40))]
 
 
-def _entries(store: Store, number: int) -> dict[str, Any]:
+def _entries(store: Store, index: int) -> dict[str, Any]:
     """Return what is logged of a frame, by entity."""
     import rerun as rr
 
-    frame, camera = store[number], store.camera(number)
+    frame, camera = store[index], store.camera(index)
     pictures = {
         "rgb": frame.rgb,
         "normal": None if frame.normal is None else normal_picture(frame.normal),
@@ -155,7 +155,7 @@ def _entries(store: Store, number: int) -> dict[str, Any]:
     entries: dict[str, Any] = {
         "frame": rr.AnyValues(
             id=frame.id,
-            split=SPLIT_NAMES.get(int(store.tables.split[number]), "none"),
+            split=SPLIT_NAMES.get(int(store.tables.split[index]), "none"),
             group=frame.group,
         ),
         "camera": rr.Pinhole(
@@ -172,7 +172,7 @@ def _entries(store: Store, number: int) -> dict[str, Any]:
         entries["camera/label"] = rr.SegmentationImage(frame.label)
     if frame.depth_m is not None:
         height, width = camera.shape
-        millimetres = store.arrays["depth"].read(number)[:height, :width]
+        millimetres = store.arrays["depth"].read(index)[:height, :width]
         entries["camera/depth"] = rr.DepthImage(np.ascontiguousarray(millimetres), meter=1000.0)
         cloud = point_cloud(frame.depth_m, camera, frame.rgb, frame.label)
         entries["points"] = rr.Points3D(

@@ -13,7 +13,7 @@ _RANGE = re.compile(r"(\d{0,9}):(\d{0,9})", re.ASCII)
 
 
 def select_frames(store: Store, items: Iterable[str] | None = None) -> list[int]:
-    """Return the numbers of the frames that the items name together, in the store's order.
+    """Return the indices of the frames that the items name together, in the store's order.
 
     Parameters
     ----------

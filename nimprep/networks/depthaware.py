@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nimprep.networks.depth_aware import DepthAwareConv, DepthAwarePool
+from nimprep.networks.depth_aware_layers import DepthAwareConv, DepthAwarePool
 from nimprep.networks.layers import resized, scaled
 from nimprep.networks.network import Logits, Network
 from nimprep.networks.vgg import VGG16

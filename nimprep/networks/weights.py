@@ -73,12 +73,12 @@ def _encoders(network: Network, tensors: Mapping[str, Tensor], path: Path) -> Lo
     for place, name in _places(network, own):
         if name not in tensors:
             continue
-        target, source = own[place], tensors[name]
-        fitted, other = _fitted(source, target, name)
+        target, given = own[place], tensors[name]
+        fitted, other = _fitted(given, target, name)
         if fitted is None:
             raise ArrayError(
                 f"{path}: expected {name} of shape {tuple(target.shape)}, found "
-                f"{tuple(source.shape)}; weights fit width 1 and the network's own encoder"
+                f"{tuple(given.shape)}; weights fit width 1 and the network's own encoder"
             )
         with torch.no_grad():
             target.copy_(fitted)
@@ -106,16 +106,16 @@ def _places(network: Network, own: Mapping[str, Tensor]) -> Iterator[tuple[str, 
             yield f"{ours}.{kind}", f"{theirs}.{kind}"
 
 
-def _fitted(source: Tensor, target: Tensor, name: str) -> tuple[Tensor | None, bool]:
+def _fitted(given: Tensor, target: Tensor, name: str) -> tuple[Tensor | None, bool]:
     """Return a file's tensor as the network takes it, and whether it is of other channels."""
-    if source.shape == target.shape:
-        return source, False
-    rest = (source.shape[:1] + source.shape[2:], target.shape[:1] + target.shape[2:])
+    if given.shape == target.shape:
+        return given, False
+    rest = (given.shape[:1] + given.shape[2:], target.shape[:1] + target.shape[2:])
     if name in FIRST and rest[0] == rest[1]:
-        return source.mean(dim=1, keepdim=True).expand_as(target), True
+        return given.mean(dim=1, keepdim=True).expand_as(target), True
     # A classifier's fully connected layer is a convolution over all that it saw.
-    if name.startswith("classifier") and source.numel() == target.numel():
-        return source.reshape(target.shape), False
+    if name.startswith("classifier") and given.numel() == target.numel():
+        return given.reshape(target.shape), False
     return None, False
 
 

@@ -138,15 +138,15 @@ class FolderReader:
         raw: dict[str, npt.NDArray[Any]] = {n: decode[n](path) for n, path in paths.items()}
         check_same_shape({paths[n]: image for n, image in raw.items()})
         height, width = next(iter(raw.values())).shape[:2] if raw else self.shape(frame_id)
-        source = self._camera or camera_from_file(self._cameras[frame_id], pipes=False)
+        intrinsics = self._camera or camera_from_file(self._cameras[frame_id], pipes=False)
         return Frame(
             id=frame_id,
-            camera=source.camera(height, width, frame_id),
+            camera=intrinsics.camera(height, width, frame_id),
             rgb=raw.get("rgb"),
             depth_m=self._metres(raw["depth"], paths["depth"]) if "depth" in raw else None,
             label=self._class_ids(raw["label"], paths["label"]) if "label" in raw else None,
             group=self.group(frame_id),
-            baseline_m=source.baseline_m,
+            baseline_m=intrinsics.baseline_m,
         )
 
     def _metres(self, raw: npt.NDArray[Any], path: Path) -> npt.NDArray[np.float32]:

@@ -63,7 +63,7 @@ class Artist:
         self.store = store
         self.looks = {name: _look(store, facts, name) for name in store.modalities}
 
-    def draw(self, frame: int, name: str, width: int | None = None) -> Picture:
+    def draw(self, index: int, name: str, width: int | None = None) -> Picture:
         """Return a frame's picture of one modality, (H, W, 3) uint8, of its size before padding.
 
         Where a width is given, the picture is at most that wide, and of a large image only every
@@ -77,20 +77,20 @@ class Artist:
             The store is damaged.
         """
         if width is None:
-            return self._draw(frame, name, 1)
-        columns = int(self.store.tables.image_size[frame, 1])
-        return shrink(self._draw(frame, name, max(1, columns // (2 * width))), width)
+            return self._draw(index, name, 1)
+        columns = int(self.store.tables.image_size[index, 1])
+        return shrink(self._draw(index, name, max(1, columns // (2 * width))), width)
 
-    def _draw(self, frame: int, name: str, step: int) -> Picture:
+    def _draw(self, index: int, name: str, step: int) -> Picture:
         look = self.looks[name]
-        image = self._stored(frame, name, step)
+        image = self._stored(index, name, step)
         match look.modality.picture:
             case "as stored":
                 return image
             case "directions":
                 return normal_picture(_unit(image))
             case "classes":
-                rgb = self._stored(frame, "rgb", step) if "rgb" in self.looks else None
+                rgb = self._stored(index, "rgb", step) if "rgb" in self.looks else None
                 return label_picture(image, self.store.classes, rgb)
         if look.scale is None:
             return image
@@ -99,9 +99,9 @@ class Artist:
         values = physical(self.store, name, image)
         return look.scale.paint(values, np.isfinite(values))
 
-    def _stored(self, frame: int, name: str, step: int) -> npt.NDArray[Any]:
-        height, width = (int(n) for n in self.store.tables.image_size[frame])
-        image = self.store.arrays[name].read(frame)
+    def _stored(self, index: int, name: str, step: int) -> npt.NDArray[Any]:
+        height, width = (int(n) for n in self.store.tables.image_size[index])
+        image = self.store.arrays[name].read(index)
         return np.ascontiguousarray(image[:height:step, :width:step])
 
 

@@ -171,16 +171,16 @@ def collect(
     return found
 
 
-def _add_frame(store: Store, frame: int, found: Collected, part: Sums) -> None:
+def _add_frame(store: Store, index: int, found: Collected, part: Sums) -> None:
     """Count one frame into its rows of `found` and into `part`."""
-    height, width = (int(n) for n in store.tables.image_size[frame])
+    height, width = (int(n) for n in store.tables.image_size[index])
     for name, array in store.arrays.items():
-        image = array.read(frame)[:height, :width]
+        image = array.read(index)[:height, :width]
         if name in _COUNTS:
-            _COUNTS[name](image, store, frame, found, part)
+            _COUNTS[name](image, store, index, found, part)
         else:
             values = _spread(image, POOLED)
-            found.pooled[name][frame, : values.size] = physical(store, name, values)
+            found.pooled[name][index, : values.size] = physical(store, name, values)
 
 
 def _split_row(code: int) -> int:
@@ -190,21 +190,21 @@ def _split_row(code: int) -> int:
 
 
 def _count_colors(
-    image: npt.NDArray[np.uint8], store: Store, frame: int, found: Collected, part: Sums
+    image: npt.NDArray[np.uint8], store: Store, index: int, found: Collected, part: Sums
 ) -> None:
-    found.hashes[frame] = difference_hash(image[:: found.step, :: found.step])
+    found.hashes[index] = difference_hash(image[:: found.step, :: found.step])
 
 
 def _count_depth(
-    image: npt.NDArray[np.uint16], store: Store, frame: int, found: Collected, part: Sums
+    image: npt.NDArray[np.uint16], store: Store, index: int, found: Collected, part: Sums
 ) -> None:
-    found.valid[frame] = np.count_nonzero(image)
+    found.valid[index] = np.count_nonzero(image)
     farthest = image.max()
-    found.farthest_mm[frame] = farthest
+    found.farthest_mm[index] = farthest
     if farthest:
-        found.at_farthest[frame] = np.count_nonzero(image == farthest)
+        found.at_farthest[index] = np.count_nonzero(image == farthest)
     sample = image[:: found.step, :: found.step]
-    split = _split_row(int(store.tables.split[frame]))
+    split = _split_row(int(store.tables.split[index]))
     part.depth[split] += np.bincount(sample.ravel(), minlength=_DEPTH_LEVELS)
     rows, columns = sample.shape
     part.holes[:rows, :columns] += sample == 0
@@ -212,13 +212,13 @@ def _count_depth(
 
 
 def _count_labels(
-    image: npt.NDArray[np.uint8], store: Store, frame: int, found: Collected, part: Sums
+    image: npt.NDArray[np.uint8], store: Store, index: int, found: Collected, part: Sums
 ) -> None:
     ids = [c.id for c in store.classes]
     counts = byte_histogram(image)
-    found.classes[frame] = counts[ids]
-    found.ignored[frame] = counts[IGNORE_LABEL]
-    found.undeclared[frame] = image.size - counts[list({*ids, IGNORE_LABEL})].sum()
+    found.classes[index] = counts[ids]
+    found.ignored[index] = counts[IGNORE_LABEL]
+    found.undeclared[index] = image.size - counts[list({*ids, IGNORE_LABEL})].sum()
 
 
 def byte_histogram(image: npt.NDArray[np.uint8]) -> Counts:
@@ -262,13 +262,13 @@ def _count_hha(hha: npt.NDArray[np.uint8], part: Sums) -> None:
 
 
 def _count_normals(
-    image: npt.NDArray[Any], store: Store, frame: int, found: Collected, part: Sums
+    image: npt.NDArray[Any], store: Store, index: int, found: Collected, part: Sums
 ) -> None:
     _count_directions(image[:: found.step, :: found.step], part)
 
 
 def _count_levels(
-    image: npt.NDArray[np.uint8], store: Store, frame: int, found: Collected, part: Sums
+    image: npt.NDArray[np.uint8], store: Store, index: int, found: Collected, part: Sums
 ) -> None:
     _count_hha(image[:: found.step, :: found.step], part)
 
@@ -283,10 +283,10 @@ _COUNTS: dict[str, Callable[[npt.NDArray[Any], Store, int, Collected, Sums], Non
 """What is counted of modalities with charts or findings of their own; the others are pooled."""
 
 
-def _spread(image: npt.NDArray[Any], number: int) -> npt.NDArray[Any]:
+def _spread(image: npt.NDArray[Any], count: int) -> npt.NDArray[Any]:
     """Return at most so many values of an image, evenly spread over its pixels."""
     flat = image.reshape(-1)
-    chosen = np.linspace(0, flat.size - 1, min(number, flat.size)).astype(np.intp)
+    chosen = np.linspace(0, flat.size - 1, min(count, flat.size)).astype(np.intp)
     return flat[chosen]
 
 

@@ -31,7 +31,7 @@ class Gallery:
     width : int
         No picture is wider, pixels.
     frames : dict of int to dict of str to str
-        WebP files in base64, by frame number and modality; frames ascending.
+        WebP files in base64, by frame index and modality; frames ascending.
     """
 
     width: int
@@ -89,10 +89,10 @@ def paint_gallery(
     """
     names = list(artist.looks)
 
-    def paint(size: tuple[int, int], frame: int) -> dict[str, str]:
+    def paint(size: tuple[int, int], index: int) -> dict[str, str]:
         pictures = {}
         for name in names:
-            data = encode_picture(artist.draw(frame, name, size[0]), "webp", size[1])
+            data = encode_picture(artist.draw(index, name, size[0]), "webp", size[1])
             pictures[name] = base64.b64encode(data).decode()
         return pictures
 

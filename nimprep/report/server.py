@@ -51,17 +51,17 @@ class ViewServer(ThreadingHTTPServer):
         # On the instance, so that the pictures go when the server does.
         self.small = lru_cache(_KEPT)(self._small)
 
-    def picture(self, frame: int, name: str, size: str) -> tuple[bytes, str] | None:
+    def picture(self, index: int, name: str, size: str) -> tuple[bytes, str] | None:
         """Return a picture's bytes and type; None where there is no such frame or modality."""
-        if frame >= len(self.seen.store) or name not in self.seen.artist.looks:
+        if index >= len(self.seen.store) or name not in self.seen.artist.looks:
             return None
         if size == "small":
-            return self.small(frame, name), "image/jpeg"
+            return self.small(index, name), "image/jpeg"
         # Lossless, and quick to make: these bytes travel within one machine.
-        return encode_picture(self.seen.artist.draw(frame, name), "png"), "image/png"
+        return encode_picture(self.seen.artist.draw(index, name), "png"), "image/png"
 
-    def _small(self, frame: int, name: str) -> bytes:
-        picture = self.seen.artist.draw(frame, name, SMALL_WIDTH)
+    def _small(self, index: int, name: str) -> bytes:
+        picture = self.seen.artist.draw(index, name, SMALL_WIDTH)
         return encode_picture(picture, "jpeg", SMALL_QUALITY)
 
     def run(self) -> None:

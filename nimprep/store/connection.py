@@ -1,6 +1,6 @@
 """Connections to object stores, and requests that fail: made again, or explained in one line.
 
-After a fork nothing here may be used: see `nimprep.store.relay`.
+After a fork nothing here may be used: see `nimprep.store.request_process`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 from nimprep.errors import StoreError
-from nimprep.store.relay import relay
+from nimprep.store.request_process import request_process
 
 if TYPE_CHECKING:
     from obstore.store import ObjectStore
@@ -95,7 +95,7 @@ def requesting(
     @wraps(method)
     def run(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:
         if _forked:
-            value: R = relay().call(self, method.__name__, arguments, named)
+            value: R = request_process().call(self, method.__name__, arguments, named)
             return value
         load_obstore()
         from obstore.exceptions import BaseError

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
+from nimprep.store.checksums import MEND, chunk_checksum, in_force
 from nimprep.store.metadata import ROOT, read_document
-from nimprep.store.seal import MEND, chunk_checksum, in_force
 from nimprep.store.storage import Storage
 from nimprep.store.table_specs import CHUNK_CHECKSUMS, table_key, table_specs
 from nimprep.store.tables import LARGEST_CHUNK, decode_table

@@ -94,13 +94,13 @@ class StoredImages(Mapping[str, npt.NDArray[Any]]):
         A shard is missing, or a checksum does not fit.
     """
 
-    def __init__(self, number: int, arrays: dict[str, ImageArray], shape: tuple[int, int]) -> None:
-        self._number = number
+    def __init__(self, index: int, arrays: dict[str, ImageArray], shape: tuple[int, int]) -> None:
+        self._index = index
         self._arrays = arrays
         self._shape = shape
         self._images: dict[str, npt.NDArray[Any]] = {}
         given = (name for name, array in arrays.items() if array.modality.derived is None)
-        self._chunks = {name: arrays[name].fetch(number) for name in given}
+        self._chunks = {name: arrays[name].fetch(index) for name in given}
 
     def __len__(self) -> int:
         return len(self._arrays)
@@ -115,10 +115,10 @@ class StoredImages(Mapping[str, npt.NDArray[Any]]):
 
     def _decoded(self, name: str) -> npt.NDArray[Any]:
         array = self._arrays[name]
-        packed = self._chunks[name] if name in self._chunks else array.fetch(self._number)
+        packed = self._chunks[name] if name in self._chunks else array.fetch(self._index)
         height, width = self._shape
         padded = empty(array.shape[1:], array.dtype)
-        array.decode(packed, padded, self._number)
+        array.decode(packed, padded, self._index)
         if padded.shape[:2] != self._shape:
             padded = np.ascontiguousarray(padded[:height, :width])
         return from_integers(array.modality, padded)
@@ -146,7 +146,7 @@ class StoredFrame(Frame):
 
     @classmethod
     def fetch(
-        cls, number: int, arrays: dict[str, ImageArray], camera: Camera, **fields: Any
+        cls, index: int, arrays: dict[str, ImageArray], camera: Camera, **fields: Any
     ) -> StoredFrame:
         """Read a frame's chunks of these arrays and check them.
 
@@ -156,7 +156,7 @@ class StoredFrame(Frame):
             A shard is missing, or a checksum does not fit.
         """
         frame = cls.__new__(cls)
-        images = StoredImages(number, arrays, camera.shape)
+        images = StoredImages(index, arrays, camera.shape)
         # What is a cached property must not be set here, hence no call of __init__.
         frame.__dict__.update(fields, camera=camera, others=images)
         return frame

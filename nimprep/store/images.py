@@ -16,9 +16,9 @@ from nimprep.errors import StoreError
 from nimprep.frame import LabelClass
 from nimprep.modality import Modality
 from nimprep.store.buffers import empty
+from nimprep.store.checksums import MEND
 from nimprep.store.image_layout import layout_problems
 from nimprep.store.metadata import ROOT, read_document
-from nimprep.store.seal import MEND
 from nimprep.store.shards import (
     MISSING,
     check_chunk,
@@ -54,9 +54,9 @@ class OwnChunks:
     ids: tuple[str, ...]
     checksums: bytes
 
-    def of_frame(self, frame: int) -> bytes:
+    def of_frame(self, index: int) -> bytes:
         """Return what a frame's chunk ends with."""
-        return self.checksums[4 * frame : 4 * frame + 4]
+        return self.checksums[4 * index : 4 * index + 4]
 
 
 class ImageArray:
@@ -144,7 +144,7 @@ class ImageArray:
             )
         return index
 
-    def fetch(self, frame: int) -> npt.NDArray[np.uint8] | None:
+    def fetch(self, index: int) -> npt.NDArray[np.uint8] | None:
         """Return a frame's checked, still compressed chunk; None where it is all fill value.
 
         Raises
@@ -152,7 +152,7 @@ class ImageArray:
         StoreError
             It is damaged, or not the one that the store's tables go with.
         """
-        shard, position = divmod(frame, self.shard_length)
+        shard, position = divmod(index, self.shard_length)
         if self._root is None:
             packed = self._requested(shard, position)
         else:
@@ -161,17 +161,17 @@ class ImageArray:
             packed = read_chunk(*self._shards[shard], position)
         if self._own is not None:
             found = None if packed is None else packed[-4:].tobytes()
-            if found != self._own.of_frame(frame):
-                raise StoreError(self._foreign(frame, found))
+            if found != self._own.of_frame(index):
+                raise StoreError(self._foreign(index, found))
         return packed
 
-    def _foreign(self, frame: int, found: bytes | None) -> str:
+    def _foreign(self, index: int, found: bytes | None) -> str:
         """Return what to say of a chunk that ends with other bytes than the store's own does."""
         assert self._own is not None
-        place = f"{self._storage}/{self.shard_key(frame // self.shard_length)}"
+        place = f"{self._storage}/{self.shard_key(index // self.shard_length)}"
         what = "none" if found is None else "another version's"
         return (
-            f"{place}: frame {self._own.ids[frame]!r}: expected the image that the store's tables "
+            f"{place}: frame {self._own.ids[index]!r}: expected the image that the store's tables "
             f"go with, found {what}; {MEND}"
         )
 
@@ -237,15 +237,15 @@ class ImageArray:
         return first.result()
 
     def decode(
-        self, packed: npt.NDArray[np.uint8] | None, out: npt.NDArray[Any], frame: int
+        self, packed: npt.NDArray[np.uint8] | None, out: npt.NDArray[Any], index: int
     ) -> None:
         """Decompress what `fetch` returned into `out`, of `shape[1:]`, C-contiguous."""
         if packed is None:
             out[...] = self.spec.fill
         else:
-            decode_chunk(packed, out, f"{self._storage}/{self.name}: frame {frame}")
+            decode_chunk(packed, out, f"{self._storage}/{self.name}: frame {index}")
 
-    def read(self, frame: int) -> npt.NDArray[Any]:
+    def read(self, index: int) -> npt.NDArray[Any]:
         """Return one image as stored, padding included.
 
         Raises
@@ -254,5 +254,5 @@ class ImageArray:
             Its shard is missing, or its checksum does not fit.
         """
         out = empty(self.shape[1:], self.dtype)
-        self.decode(self.fetch(frame), out, frame)
+        self.decode(self.fetch(index), out, index)
         return out

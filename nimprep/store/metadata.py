@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from nimprep.errors import StoreError
 from nimprep.schema import MAX_BYTES, json_bytes, parse_json
 from nimprep.store.access import storage_from
-from nimprep.store.seal import with_digest
+from nimprep.store.checksums import with_digest
 from nimprep.store.spec import check_version
 
 if TYPE_CHECKING:

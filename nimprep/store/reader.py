@@ -15,13 +15,13 @@ from nimprep.frame import Frame, LabelClass
 from nimprep.schema import MAX_BYTES, check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
 from nimprep.store.access import storage_from
+from nimprep.store.checksums import digest_problem
 from nimprep.store.connection import RequestError
 from nimprep.store.frame_tables import read_tables
 from nimprep.store.frames import StoredFrame, check_size
 from nimprep.store.images import ImageArray, OwnChunks
 from nimprep.store.location import Place, location_from
 from nimprep.store.metadata import ROOT, consolidated, root_from
-from nimprep.store.seal import digest_problem
 from nimprep.store.spec import stored_modalities
 from nimprep.store.storage import LocalStorage, Storage
 
@@ -30,7 +30,7 @@ _TRIES = 5
 
 
 class Store:
-    """Read a store's frames by number.
+    """Read a store's frames by index.
 
     ``len(store)`` frames; ``store[i]`` is a `Frame` whose images are decompressed when asked for.
     Safe to share between threads and forked processes, and to pickle.
@@ -144,20 +144,20 @@ class Store:
     def __repr__(self) -> str:
         return f"<nimprep store {self.path}: {len(self)} frames, {', '.join(self.modalities)}>"
 
-    def camera(self, number: int) -> Camera:
+    def camera(self, index: int) -> Camera:
         """Return the camera of a frame, of the frame's own size."""
-        height, width = (int(n) for n in self.tables.image_size[number])
+        height, width = (int(n) for n in self.tables.image_size[index])
         for array in self.arrays.values():
-            check_size((height, width), array.shape[1:], f"{self.path}: frame {number}")
-        return Camera.from_matrix(self.tables.intrinsics[number], width, height)
+            check_size((height, width), array.shape[1:], f"{self.path}: frame {index}")
+        return Camera.from_matrix(self.tables.intrinsics[index], width, height)
 
-    def cam_to_road(self, number: int) -> npt.NDArray[np.float64] | None:
+    def cam_to_road(self, index: int) -> npt.NDArray[np.float64] | None:
         """Return a frame's (3, 4) transform from the camera to the road frame; None = none."""
-        transform = self.tables.cam_to_road[number]
+        transform = self.tables.cam_to_road[index]
         return None if np.isnan(transform).any() else transform
 
     def indices(self, split: str | None = None) -> npt.NDArray[np.int64]:
-        """Return the numbers of a split's frames; None = all.
+        """Return the indices of a split's frames; None = all.
 
         Raises
         ------

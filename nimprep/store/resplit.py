@@ -11,12 +11,12 @@ import numpy as np
 
 from nimprep.errors import StoreError
 from nimprep.splits import SPLIT_CODES, SplitName, assign_splits, splits_from_file
+from nimprep.store.checksums import chunk_checksum
 from nimprep.store.location import Place
 from nimprep.store.lock import changing
 from nimprep.store.memory import encode_table
 from nimprep.store.metadata import ROOT, write_attributes
 from nimprep.store.reader import Store, open_store
-from nimprep.store.seal import chunk_checksum
 from nimprep.store.spec import check_changeable
 from nimprep.store.storage import Storage
 from nimprep.store.table_specs import table_key
@@ -85,7 +85,7 @@ def _write(
     splits: Mapping[str, str],
     described: dict[str, Any],
 ) -> None:
-    """Change table and rule in one step, whatever happens between: see `nimprep.store.seal`."""
+    """Change table and rule in one step, whatever happens: see `nimprep.store.checksums`."""
     codes = np.array([SPLIT_CODES[name] for name in splits.values()], dtype=np.uint8)
     chunk = encode_table("split", storage.read(f"split/{ROOT}") or b"", codes)
     before, after = (chunk_checksum(c) for c in (storage.read(table_key("split")) or b"", chunk))

@@ -24,7 +24,7 @@ from numcodecs import blosc
 from nimprep.errors import StoreError
 from nimprep.files import open_plain
 from nimprep.store.buffers import empty
-from nimprep.store.seal import MEND
+from nimprep.store.checksums import MEND
 from nimprep.store.spec import ChunkCodec
 
 if TYPE_CHECKING:

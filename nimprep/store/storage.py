@@ -11,7 +11,7 @@ from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 from nimprep.errors import StoreError
 from nimprep.files import open_plain, read_file, replace_file
-from nimprep.store.seal import MEND
+from nimprep.store.checksums import MEND
 
 
 @runtime_checkable

@@ -164,10 +164,10 @@ def _tables(store: Store) -> dict[str, ArraySpec]:
     return table_specs(store.modalities, store.attributes["format_version"])
 
 
-def _check_camera(store: Store, number: int, report: Report) -> None:
-    name = f"frame {number} ({store.ids[number]!r})"
+def _check_camera(store: Store, index: int, report: Report) -> None:
+    name = f"frame {index} ({store.ids[index]!r})"
     try:
-        camera: Camera = store.camera(number)
+        camera: Camera = store.camera(index)
     except NimprepError as error:
         report.add(f"{name}: {error}")
         return
@@ -175,10 +175,10 @@ def _check_camera(store: Store, number: int, report: Report) -> None:
     far = 10 * max(camera.shape)
     if abs(camera.cx) > far or abs(camera.cy) > far or max(camera.fx, camera.fy) > 100 * far:
         report.add(f"{name}: expected a camera of its image's scale, found {camera}")
-    baseline = float(store.tables.baseline[number])
+    baseline = float(store.tables.baseline[index])
     if not (np.isnan(baseline) or 0 < baseline <= MAX_BASELINE_M):
         report.add(f"{name}: expected a positive baseline or NaN, found {baseline}")
-    road = store.tables.cam_to_road[number]
+    road = store.tables.cam_to_road[index]
     rotation = road[:, :3]
     if np.isnan(road).all():
         return

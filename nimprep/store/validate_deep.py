@@ -33,8 +33,8 @@ def check_pixels(
     done = (progress or no_progress)("checking", len(store))
     step = -(-len(store) // SAMPLE)
 
-    def check(number: int) -> list[str]:
-        found = _frame_problems(store, number, recompute=number % step == 0)
+    def check(index: int) -> list[str]:
+        found = _frame_problems(store, index, recompute=index % step == 0)
         done()
         return found
 
@@ -52,31 +52,31 @@ def check_pixels(
         report.count("frames recomputed", len(range(0, len(store), step)))
 
 
-def _frame_problems(store: Store, number: int, *, recompute: bool) -> list[str]:
+def _frame_problems(store: Store, index: int, *, recompute: bool) -> list[str]:
     images: dict[str, npt.NDArray[Any]] = {}
     problems = []
     for name, array in store.arrays.items():
         try:
-            images[name] = array.read(number)
+            images[name] = array.read(index)
         except NimprepError as error:
             problems.append(f"{name}: {error}")
     if problems:
         return problems
-    height, width = store.camera(number).shape
+    height, width = store.camera(index).shape
     for name, image in images.items():
         fill = store.arrays[name].spec.fill
         if (image[height:] != fill).any() or (image[:, width:] != fill).any():
             problems.append(f"{name}: expected padding of {fill}, found other values")
         images[name] = np.ascontiguousarray(image[:height, :width])
-    if not np.array_equal(channel_sums(images), store.tables.channel_sums[number]):
+    if not np.array_equal(channel_sums(images), store.tables.channel_sums[index]):
         problems.append("channel_sums: expected the images' sums, found others")
-    problems += _image_problems(store, number, images)
+    problems += _image_problems(store, index, images)
     if recompute and "depth" in images:
-        problems += _recomputed_problems(store, number, images)
+        problems += _recomputed_problems(store, index, images)
     return problems
 
 
-def _image_problems(store: Store, number: int, images: dict[str, npt.NDArray[Any]]) -> list[str]:
+def _image_problems(store: Store, index: int, images: dict[str, npt.NDArray[Any]]) -> list[str]:
     """Check each image by what its modality's record says."""
     recipe = recipe_from(store.attributes["modalities"])
     filled = recipe.fill != "none" and not recipe.store_filled
@@ -89,7 +89,7 @@ def _image_problems(store: Store, number: int, images: dict[str, npt.NDArray[Any
             problems += _vector_problems(modality, image)
         if modality.derived is not None and "depth" in images:
             if modality.derived.gravity:
-                problems += _gravity_problems(modality, store.tables.gravity[number])
+                problems += _gravity_problems(modality, store.tables.gravity[index])
             problems += _cover_problems(modality, image, images["depth"] > 0, filled=filled)
     return problems
 
@@ -136,17 +136,17 @@ def _cover_problems(
 
 
 def _recomputed_problems(
-    store: Store, number: int, images: dict[str, npt.NDArray[Any]]
+    store: Store, index: int, images: dict[str, npt.NDArray[Any]]
 ) -> list[str]:
     """Make the derived modalities again from depth and compare; one step of rounding may differ."""
     recipe = recipe_from(store.attributes["modalities"])
     frame = Frame(
-        id=store.ids[number],
-        camera=store.camera(number),
+        id=store.ids[index],
+        camera=store.camera(index),
         rgb=images.get("rgb"),
         depth_m=depth_from_millimetres(images["depth"]),
-        baseline_m=float(store.tables.baseline[number]),
-        cam_to_road=store.cam_to_road(number),
+        baseline_m=float(store.tables.baseline[index]),
+        cam_to_road=store.cam_to_road(index),
     )
     missing = None
     made = {name: store.arrays[name].modality.derived for name in images}
@@ -173,8 +173,6 @@ def _recomputed_problems(
                 f"found {int(apart.sum())} pixels apart"
             )
     estimated = not np.isnan(derived.gravity).any()
-    if estimated and not np.allclose(derived.gravity, store.tables.gravity[number]):
-        problems.append(
-            f"gravity: expected {derived.gravity}, found {store.tables.gravity[number]}"
-        )
+    if estimated and not np.allclose(derived.gravity, store.tables.gravity[index]):
+        problems.append(f"gravity: expected {derived.gravity}, found {store.tables.gravity[index]}")
     return problems

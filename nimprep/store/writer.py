@@ -17,14 +17,14 @@ from nimprep.folders import adopt, adopt_tree, place_of, refuse_inside, refuse_w
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
 from nimprep.schema import json_bytes
-from nimprep.store.exchange import exchange
+from nimprep.store.checksums import with_checksums
 from nimprep.store.extras import check_replaceable, discard
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, read_attributes
-from nimprep.store.seal import sealed
 from nimprep.store.shards import encode_shard
 from nimprep.store.spec import ArraySpec, ChunkCodec, chunk_codec, image_spec
 from nimprep.store.storage import LocalStorage, Storage
+from nimprep.store.swap import swap_folders
 from nimprep.store.table_specs import table_key, table_specs
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def move_into_place(partial: Path, target: Path, *, overwrite: bool, grows: bool
         if before is not None:
             adopt_tree(partial, target)
         if target.is_dir() and any(target.iterdir()):
-            if exchange(partial, target):
+            if swap_folders(partial, target):
                 old = partial
             else:
                 old = partial.with_suffix(OLD)
@@ -232,7 +232,7 @@ class StoreWriter:
         tables : mapping
             One array per name in `table_specs`, frame first.
         attributes : mapping
-            The finished `nimprep` object; `complete` and what `sealed` adds do not count.
+            The finished `nimprep` object; `complete` and what `with_checksums` adds do not count.
         """
         import zarr
 
@@ -250,7 +250,7 @@ class StoreWriter:
         files = memory.contents()
         root = json.loads(files.pop(ROOT))
         chunks = {name: files[table_key(name)] for name in specs}
-        root["attributes"]["nimprep"] = sealed({**attributes, "complete": True}, chunks)
+        root["attributes"]["nimprep"] = with_checksums({**attributes, "complete": True}, chunks)
         for key, data in files.items():
             self.storage.write(key, [data])
         self.storage.write(ROOT, [json_bytes(root)])

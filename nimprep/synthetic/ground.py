@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nimprep.synthetic.geometry import Array, Mask, Points, Vector, normalized, unit
+from nimprep.synthetic.shapes import Array, Mask, Points, Vector, normalized, unit
 from nimprep.synthetic.texture import Finish
 
 SEAM_M = 1e-9

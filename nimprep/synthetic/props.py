@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from nimprep.synthetic.geometry import Rotation, Vector, unit
 from nimprep.synthetic.scene import BACKGROUND, Solid
+from nimprep.synthetic.shapes import Rotation, Vector, unit
 from nimprep.synthetic.solids import Ball, Box, Cylinder, Pose
 from nimprep.synthetic.texture import Colour, Finish, Pattern
 

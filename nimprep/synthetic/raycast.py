@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.synthetic.geometry import (
+from nimprep.synthetic.scene import Scene
+from nimprep.synthetic.shapes import (
     Array,
     Mask,
     Points,
@@ -19,7 +20,6 @@ from nimprep.synthetic.geometry import (
     view_directions,
     window_of,
 )
-from nimprep.synthetic.scene import Scene
 
 FAR_M = 60.0
 """Scenes end here: below 65.535 m, the most that a depth image in millimetres holds."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from nimprep.synthetic.geometry import Rotation, Vector
 from nimprep.synthetic.ground import Kerb, Pothole, Strip
+from nimprep.synthetic.shapes import Rotation, Vector
 from nimprep.synthetic.solids import Ball, Box, Cylinder
 from nimprep.synthetic.texture import Colour
 

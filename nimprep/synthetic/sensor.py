@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.synthetic.geometry import Array, Mask
+from nimprep.synthetic.shapes import Array, Mask
 from nimprep.synthetic.texture import smooth_noise
 
 BASELINE_M = 0.055

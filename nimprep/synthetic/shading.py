@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.synthetic.geometry import Mask
 from nimprep.synthetic.raycast import NOTHING, Hits
 from nimprep.synthetic.scene import Light, Scene
+from nimprep.synthetic.shapes import Mask
 from nimprep.synthetic.texture import Float32, float32_from, noise_tile, painted, sampled
 
 HAZE_M = 90.0

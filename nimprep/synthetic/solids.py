@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nimprep.synthetic.geometry import (
+from nimprep.synthetic.shapes import (
     Array,
     Points,
     Rotation,

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nimprep.synthetic.geometry import rotation_from_angles, unit
 from nimprep.synthetic.ground import Kerb, Pothole, Stretch, Strip
 from nimprep.synthetic.props import obstacle, roadside, wall
 from nimprep.synthetic.scene import ANOMALY, BACKGROUND, DRIVABLE, Ground, Light, Scene, Solid
+from nimprep.synthetic.shapes import rotation_from_angles, unit
 from nimprep.synthetic.texture import Colour, Finish, Pattern
 
 ENDLESS_M = 500.0

@@ -11,7 +11,7 @@ from torch import Tensor
 from nimprep.torch.collation import Batch, new_tensor
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import CHANNELS, Selection
-from nimprep.torch.source import FrameSource
+from nimprep.torch.stored_images import StoredImages
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,21 +20,21 @@ class BatchMaker:
 
     Attributes
     ----------
-    source : FrameSource
+    images : StoredImages
     selection : Selection
     scaling : Scaling
     dtype : {"float32", "stored"}
         As `StoreDataset` takes it.
     """
 
-    source: FrameSource
+    images: StoredImages
     selection: Selection
     scaling: Scaling
     dtype: str
 
     def allocate(self, count: int, *, pinned: bool = False) -> Batch:
         """Return a batch of so many frames whose tensors are yet to be filled."""
-        height, width = self.source.size
+        height, width = self.images.size
         batch = Batch()
 
         def new(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -58,17 +58,17 @@ class BatchMaker:
         return batch
 
     def _new_stored(self, name: str, new: Any) -> Tensor:
-        modality = self.source.modality(name)
+        modality = self.images.modality(name)
         dtype: torch.dtype = getattr(torch, modality.dtype)
-        height, width = self.source.size
+        height, width = self.images.size
         if not modality.channels:
             return new(1, height, width, dtype=dtype)  # type: ignore[no-any-return]
         # In memory the channels stay last, as stored; PyTorch's channels_last format.
         image: Tensor = new(*modality.image_shape(height, width), dtype=dtype)
         return image.permute(0, 3, 1, 2)
 
-    def fill(self, batch: Batch, position: int, frame: int) -> None:
-        """Decode a frame, by its number in the store, into a place of a batch.
+    def fill(self, batch: Batch, position: int, index: int) -> None:
+        """Decode a frame, by its index in the store, into a place of a batch.
 
         Safe to call from several threads, each with a place of its own.
 
@@ -77,23 +77,23 @@ class BatchMaker:
         StoreError
             A chunk is damaged or gone.
         """
-        source = self.source
+        images = self.images
         if self.dtype == "stored":
             for name in self.selection.images:
                 place = batch[name][position]
                 flat = place[0] if CHANNELS[name] == 1 else place.permute(1, 2, 0)
-                source.stored(name, frame, flat.numpy())
+                images.stored(name, index, flat.numpy())
             if self.selection.label:
-                source.stored("label", frame, batch["label"][position].numpy())
+                images.stored("label", index, batch["label"][position].numpy())
         else:
             for name, place in self._places(batch, position):
-                source.scaled(name, frame, self.scaling, place)
+                images.scaled(name, index, self.scaling, place)
             if self.selection.label:
-                source.label(frame, batch["label"][position])
-        tables = source.store.tables
-        batch["id"][position] = source.store.ids[frame]
-        batch["intrinsics"][position] = torch.from_numpy(tables.intrinsics[frame])
-        batch["size"][position] = torch.from_numpy(tables.image_size[frame])
+                images.label(index, batch["label"][position])
+        tables = images.store.tables
+        batch["id"][position] = images.store.ids[index]
+        batch["intrinsics"][position] = torch.from_numpy(tables.intrinsics[index])
+        batch["size"][position] = torch.from_numpy(tables.image_size[index])
 
     def _places(self, batch: Batch, position: int) -> list[tuple[str, Tensor]]:
         """Return each modality's part of the tensors of one frame."""

@@ -20,7 +20,7 @@ from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
 from nimprep.torch.setups import CHANNELS, select
-from nimprep.torch.source import FrameSource
+from nimprep.torch.stored_images import StoredImages
 
 Transform = Callable[[dict[str, Any]], dict[str, Any]]
 """From a sample to a sample; see `StoreDataset`."""
@@ -107,7 +107,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
             raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
         self.selection = select(setup, fusion=fusion, modalities=modalities)
         self.store = open_store(path)
-        self.source = FrameSource(self.store, self.selection, normals)
+        self.images = StoredImages(self.store, self.selection, normals)
         self.indices = _frames(self.store, split)
         self.ids = tuple(self.store.ids[i] for i in self.indices)
         self.scaling = scaling_from(normalize, self.store, self.selection.images)
@@ -129,21 +129,21 @@ class StoreDataset(Dataset[dict[str, Any]]):
         """Say which epoch comes next, before its iteration starts; workers see it too."""
         self._epoch.fill_(epoch)
 
-    def __getitem__(self, index: SupportsIndex) -> Sample:
-        return self.sample(index, self.epoch)
+    def __getitem__(self, item: SupportsIndex) -> Sample:
+        return self.sample(item, self.epoch)
 
-    def __getitems__(self, indices: Sequence[SupportsIndex]) -> Batch:
+    def __getitems__(self, items: Sequence[SupportsIndex]) -> Batch:
         """Return several frames as one batch, decoded straight into its tensors."""
         epoch = self.epoch
         if self.transform is not None:
-            return Batch(collate([self.sample(index, epoch) for index in indices]))
-        batch = self.allocate(len(indices))
-        for position, index in enumerate(indices):
-            self.fill(batch, position, self._checked(index))
+            return Batch(collate([self.sample(item, epoch) for item in items]))
+        batch = self.allocate(len(items))
+        for position, item in enumerate(items):
+            self.fill(batch, position, self._checked(item))
         return batch
 
-    def sample(self, index: SupportsIndex, epoch: int) -> Sample:
-        """Return the sample of an index in an epoch.
+    def sample(self, item: SupportsIndex, epoch: int) -> Sample:
+        """Return the sample of an item in an epoch.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         StoreError
             A chunk is damaged or gone.
         """
-        number = self._checked(index)
+        number = self._checked(item)
         if self.transform is None:
             batch = self.allocate(1)
             self.fill(batch, 0, number)
@@ -165,29 +165,29 @@ class StoreDataset(Dataset[dict[str, Any]]):
         """Return a batch of so many frames for `fill`; without a transform only."""
         return self._maker.allocate(count, pinned=pinned)
 
-    def fill(self, batch: Batch, position: int, index: int) -> None:
-        """Decode the sample of an index into its place in a batch, as `BatchMaker.fill` does."""
-        self._maker.fill(batch, position, int(self.indices[index]))
+    def fill(self, batch: Batch, position: int, item: int) -> None:
+        """Decode the sample of an item into its place in a batch, as `BatchMaker.fill` does."""
+        self._maker.fill(batch, position, int(self.indices[item]))
 
     @property
     def _maker(self) -> BatchMaker:
-        return BatchMaker(self.source, self.selection, self.scaling, self.dtype)
+        return BatchMaker(self.images, self.selection, self.scaling, self.dtype)
 
-    def _checked(self, index: SupportsIndex) -> int:
-        number = operator.index(index)
+    def _checked(self, item: SupportsIndex) -> int:
+        number = operator.index(item)
         if not -len(self) <= number < len(self):
             raise IndexError(f"{self.store.path}: expected below {len(self)}, found {number}")
         return number % len(self)
 
-    def _raw(self, number: int) -> dict[str, Any]:
+    def _raw(self, item: int) -> dict[str, Any]:
         """Return a frame as transforms take it, but for the generator."""
-        frame = int(self.indices[number])
+        index = int(self.indices[item])
         named = (*self.selection.images, *(["label"] if self.selection.label else []))
-        height, width = (int(n) for n in self.store.tables.image_size[frame])
+        height, width = (int(n) for n in self.store.tables.image_size[index])
         return {
-            **{name: self.source.image(name, frame) for name in named},
-            "intrinsics": torch.from_numpy(self.store.tables.intrinsics[frame].copy()),
-            "id": self.ids[number],
+            **{name: self.images.image(name, index) for name in named},
+            "intrinsics": torch.from_numpy(self.store.tables.intrinsics[index].copy()),
+            "id": self.ids[item],
             "size": (height, width),
         }
 

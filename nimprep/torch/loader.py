@@ -211,18 +211,17 @@ class StoreLoader:
         self._epoch, self._start, self._begun = epoch + 1, 0, False
 
     def _submit(
-        self, pool: ThreadPoolExecutor, indices: list[int], epoch: int, spare: list[Batch]
+        self, pool: ThreadPoolExecutor, items: list[int], epoch: int, spare: list[Batch]
     ) -> _Pending:
         dataset = self.dataset
         if dataset.transform is not None:
-            samples = [pool.submit(dataset.sample, index, epoch) for index in indices]
+            samples = [pool.submit(dataset.sample, item, epoch) for item in items]
             return _Pending(None, samples, self.pin_memory)
-        if spare and len(spare[0]["id"]) == len(indices):
+        if spare and len(spare[0]["id"]) == len(items):
             batch = spare.pop(0)
         else:
-            batch = dataset.allocate(len(indices), pinned=self.pin_memory)
+            batch = dataset.allocate(len(items), pinned=self.pin_memory)
         filled = [
-            pool.submit(dataset.fill, batch, position, index)
-            for position, index in enumerate(indices)
+            pool.submit(dataset.fill, batch, position, item) for position, item in enumerate(items)
         ]
         return _Pending(batch, filled, self.pin_memory)

@@ -17,9 +17,9 @@ from nimprep.cli.options import progress_bars
 from nimprep.report.server import ViewServer
 from nimprep.store.metadata import read_attributes, write_attributes
 from nimprep.text import printable
+from tests.checksums import renew_checksums
 from tests.cli.world import CALLS, EVERY, Call, commands, make_world, run
 from tests.hostile.stores import table, table_file
-from tests.resealing import reseal
 
 HOSTILE = "\x1b]0;owned\x07\x1b[1m\x9b2J\r\u202e\x7f\n<script>owned"
 
@@ -44,7 +44,7 @@ def spoil(store: Path) -> None:
     found["skipped"] = [{"id": HOSTILE, "reason": HOSTILE}]
     write_attributes(store, found)
     (store / table_file("group")).write_bytes(table([HOSTILE, HOSTILE, f"{HOSTILE}2"]))
-    reseal(store, chunks=False)
+    renew_checksums(store, chunks=False)
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def die_at_step(step: int, atomic: bool) -> None:
 
     LocalWorkspace.publish = publish_and_die  # type: ignore[method-assign]
     if not atomic:
-        writer.exchange = lambda a, b: False
+        writer.swap_folders = lambda a, b: False
 
 
 def _changes(event: str, found: tuple[Any, ...]) -> bool:

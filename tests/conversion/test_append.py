@@ -18,8 +18,8 @@ from nimprep.store.metadata import read_attributes
 from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
 from nimprep.store.writer import StoreWriter
+from tests.checksums import edit_attributes
 from tests.fakes import contents, write_gmrp, write_nyu_like, write_png
-from tests.resealing import edit_attributes
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),

@@ -207,16 +207,16 @@ def test_what_comes_into_a_store_while_it_is_replaced_goes_on_in_the_new_one(
 ) -> None:
     store = world / "s.zarr"
     (store / "log").write_text("one")
-    exchange = writer.exchange
+    swap_folders = writer.swap_folders
 
     def late(partial: Path, target: Path) -> bool:
         (target / "log").unlink(missing_ok=True)
         (target / "log").write_text("one, two")
         (target / "new" / "folder").mkdir(parents=True)
         (target / "new" / "folder" / "file").write_text("mine")
-        return exchange(partial, target)
+        return swap_folders(partial, target)
 
-    monkeypatch.setattr(writer, "exchange", late)
+    monkeypatch.setattr(writer, "swap_folders", late)
     for change in (grow, replace_by_conversion):
         change(world, store)
         assert (store / "log").read_text() == "one, two"
@@ -321,7 +321,7 @@ def test_mode_and_owner_of_a_store_stay(
 ) -> None:
     store = world / "s.zarr"
     if not atomic:
-        monkeypatch.setattr(writer, "exchange", lambda a, b: False)
+        monkeypatch.setattr(writer, "swap_folders", lambda a, b: False)
     (store / "rgb" / "c").chmod(0o770)
     (store / "rgb" / "zarr.json").chmod(0o640)
     root = os.geteuid() == 0

@@ -13,10 +13,10 @@ import nimprep
 from nimprep.errors import SplitError, StoreError
 from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
+from tests.checksums import edit_attributes
 from tests.conversion.mortal import Mortals
 from tests.conversion.test_append import damage, images_and_tables, same, write_frames
 from tests.fakes import contents, write_gmrp, write_nyu_like
-from tests.resealing import edit_attributes
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
@@ -70,14 +70,14 @@ def test_merging_is_appending(tmp_path: Path) -> None:
 def test_images_move_over_as_they_are_compressed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import nimprep.conversion.joining as joining
+    import nimprep.conversion.shard_assembly as shard_assembly
 
     parts = [made(tmp_path, "a", range(4)), made(tmp_path, "b", range(4, 9), shard_length=4)]
 
     def never(*arguments: object) -> bytes:
         raise AssertionError("compressed anew")
 
-    monkeypatch.setattr(joining, "encode_chunk", never)
+    monkeypatch.setattr(shard_assembly, "encode_chunk", never)
     merged = nimprep.merge_stores(parts, tmp_path / "m.zarr")
     assert {array.shard_length for array in merged.arrays.values()} == {3}
     assert validate_store(tmp_path / "m.zarr", deep=True).problems == []

@@ -13,7 +13,7 @@ import nimprep
 from nimprep.cli import main
 from nimprep.derive.modalities import recipe_from
 from nimprep.errors import ArrayError
-from nimprep.store.seal import with_digest
+from nimprep.store.checksums import with_digest
 from nimprep.store.validate import validate_store
 from tests.fakes import write_gmrp
 

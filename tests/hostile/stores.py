@@ -18,7 +18,7 @@ from nimprep.store.info import info_text, store_info
 from nimprep.store.reader import open_store
 from nimprep.store.table_specs import table_key as table_file
 from nimprep.store.validate import validate_store
-from tests.resealing import reseal
+from tests.checksums import renew_checksums
 
 MISSING = 2**64 - 1
 
@@ -83,7 +83,7 @@ def changed(store: Path, files: dict[str, Any]) -> Iterator[Path]:
             data = content if isinstance(content, bytes) else json.dumps(content).encode()
             (store / key).write_bytes(data)
         # A root, or a table of chunks, that a test wrote stays as that is.
-        reseal(store, chunks=sealing[1] not in files)
+        renew_checksums(store, chunks=sealing[1] not in files)
         yield store
     finally:
         for key, data in before.items():

@@ -14,8 +14,8 @@ from torch.utils.data import DataLoader
 import nimprep
 from nimprep.cli import main
 from nimprep.errors import NimprepError, StoreError
+from nimprep.store.checksums import attributes_digest
 from nimprep.store.metadata import read_attributes
-from nimprep.store.seal import attributes_digest
 from nimprep.store.table_specs import table_key, table_specs
 from nimprep.store.validate import validate_store
 from nimprep.torch import StoreDataset, StoreLoader

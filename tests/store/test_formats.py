@@ -18,9 +18,9 @@ from nimprep.store.resplit import resplit
 from nimprep.store.shards import encode_shard
 from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.validate import validate_store
+from tests.checksums import edit_attributes
 from tests.conversion.test_append import images_and_tables, write_frames
 from tests.fakes import contents, depth_image, write_gmrp
-from tests.resealing import edit_attributes
 
 DATA = Path(__file__).parent / "data"
 SIZE = (12, 16)

@@ -22,9 +22,9 @@ from nimprep.store.info import info_text, store_info
 from nimprep.store.metadata import read_attributes
 from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
+from tests.checksums import renew_checksums
 from tests.derive import roads
 from tests.fakes import write_png
-from tests.resealing import reseal
 
 SIZE = roads.CAMERA.shape
 
@@ -205,6 +205,6 @@ def test_deep_validation_finds_what_is_not_as_made(
     values = np.array(array[...])
     values[1, 150, 100] = PLANES[name].none if value is None else value
     array[...] = values
-    reseal(copy)
+    renew_checksums(copy)
     problems = validate_store(copy, deep=True).problems
     assert any(f"{name}: " in problem and words in problem for problem in problems), problems

@@ -10,13 +10,13 @@ import zarr
 
 import nimprep
 from nimprep.schema import load_schema, schema_problems
+from nimprep.store.checksums import attributes_digest
 from nimprep.store.info import store_info
 from nimprep.store.metadata import read_attributes, write_attributes
-from nimprep.store.seal import attributes_digest
 from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.validate import validate_store
+from tests.checksums import renew_checksums
 from tests.fakes import write_gmrp, write_nyu_like
-from tests.resealing import reseal
 
 CASES = Path(__file__).parent / "invalid_attributes"
 
@@ -58,7 +58,7 @@ def edit(name: str, change: Callable[[np.ndarray], None]) -> Callable[[Path], No
         values = np.array(array[...])
         change(values)
         array[...] = values
-        reseal(store)
+        renew_checksums(store)
 
     return apply
 
@@ -86,7 +86,7 @@ def edit_json(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[
         document = json.loads(path.read_text())
         change(document)
         path.write_text(json.dumps(document))
-        reseal(store)
+        renew_checksums(store)
 
     return apply
 

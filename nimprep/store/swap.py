@@ -16,7 +16,7 @@ _CANNOT = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EPERM}
 """What a kernel or a file system says that does not know how to."""
 
 
-def exchange(a: Path, b: Path) -> bool:
+def swap_folders(a: Path, b: Path) -> bool:
     """Let two folders of one file system change names; return whether that was possible.
 
     Where it is not (other systems than Linux, some network file systems), nothing has changed.

@@ -13,11 +13,11 @@ import numpy as np
 from numcodecs import zstd
 
 from nimprep.modality import MODALITIES
-from nimprep.store.seal import attributes_digest, chunk_checksum
+from nimprep.store.checksums import attributes_digest, chunk_checksum
 from nimprep.store.table_specs import table_key, table_specs
 
 
-def reseal(store: Path, *, chunks: bool = True) -> None:
+def renew_checksums(store: Path, *, chunks: bool = True) -> None:
     """Let the root and the table of chunks say what the store's files are; damage stays damage.
 
     Parameters
@@ -33,7 +33,7 @@ def reseal(store: Path, *, chunks: bool = True) -> None:
             return
         if chunks:
             with suppress(OSError, ValueError, KeyError, TypeError, IndexError, struct.error):
-                _reseal_chunks(store, [m for m in MODALITIES if m in attributes["modalities"]])
+                _renew_chunks(store, [m for m in MODALITIES if m in attributes["modalities"]])
         for name in table_specs():
             if (store / table_key(name)).is_file():
                 attributes["tables"][name] = chunk_checksum((store / table_key(name)).read_bytes())
@@ -41,7 +41,7 @@ def reseal(store: Path, *, chunks: bool = True) -> None:
         (store / "zarr.json").write_text(json.dumps(root))
 
 
-def _reseal_chunks(store: Path, modalities: list[str]) -> None:
+def _renew_chunks(store: Path, modalities: list[str]) -> None:
     document = json.loads((store / "chunk_crc32c" / "zarr.json").read_bytes())
     path = store / table_key("chunk_crc32c")
     checksums = np.frombuffer(zstd.decompress(path.read_bytes()[:-4]), "<u4").copy()
@@ -74,4 +74,4 @@ def edit_attributes(store: Path, **changes: Any) -> None:
     root = json.loads((store / "zarr.json").read_text())
     root["attributes"]["nimprep"] |= changes
     (store / "zarr.json").write_text(json.dumps(root))
-    reseal(store, chunks=False)
+    renew_checksums(store, chunks=False)

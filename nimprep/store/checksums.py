@@ -30,7 +30,7 @@ def chunk_checksum(chunk: bytes) -> int:
     return int.from_bytes(chunk[-4:], "little")
 
 
-def sealed(attributes: Mapping[str, Any], tables: Mapping[str, bytes]) -> dict[str, Any]:
+def with_checksums(attributes: Mapping[str, Any], tables: Mapping[str, bytes]) -> dict[str, Any]:
     """Return a store's attributes with what ties its parts together.
 
     Parameters

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
 
-from nimprep.conversion.contents import Contents, held, packed_contents
 from nimprep.conversion.records import UnitRecord
+from nimprep.conversion.shard_contents import Contents, held, packed_contents
 from nimprep.errors import StoreError
+from nimprep.store.checksums import chunk_checksum
 from nimprep.store.extras import PACKED
-from nimprep.store.seal import chunk_checksum
 from nimprep.store.shards import encode_shard, split_shard
 from nimprep.store.storage import Storage
 from nimprep.store.writer import StoreWriter

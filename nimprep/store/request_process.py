@@ -17,10 +17,12 @@ from typing import Any
 
 from nimprep.errors import NimprepError, StoreError
 
-_SERVE = "import sys; sys.path[:] = {path!r}; from nimprep.store.relay import serve; serve()"
+_SERVE = (
+    "import sys; sys.path[:] = {path!r}; from nimprep.store.request_process import serve; serve()"
+)
 
 
-class Relay:
+class RequestProcess:
     """Call a storage's methods in another process, one at a time."""
 
     def __init__(self) -> None:
@@ -57,16 +59,16 @@ class Relay:
         return value
 
 
-_relays: dict[int, Relay] = {}
+_processes: dict[int, RequestProcess] = {}
 
 
-def relay() -> Relay:
-    """Return this process's relay, started at the first call."""
+def request_process() -> RequestProcess:
+    """Return this process's own, started at the first call."""
     # A process forked from this one needs its own: two cannot share a pipe.
     process = os.getpid()
-    if process not in _relays:
-        _relays[process] = Relay()
-    return _relays[process]
+    if process not in _processes:
+        _processes[process] = RequestProcess()
+    return _processes[process]
 
 
 def serve() -> None:

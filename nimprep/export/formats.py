@@ -111,8 +111,8 @@ def _write_npz(
 ) -> None:
     from nimprep.export.npz import frame_arrays, npz_bytes
 
-    def write(number: int) -> None:
-        write_new(folder / files[store.ids[number]], npz_bytes(frame_arrays(store, number)))
+    def write(index: int) -> None:
+        write_new(folder / files[store.ids[index]], npz_bytes(frame_arrays(store, index)))
 
     _each(numbers, write, progress)
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from nimprep.conversion.records import DEPTHS, UnitRecord
 from nimprep.errors import StoreError
 from nimprep.folders import link_or_copy
+from nimprep.store.checksums import MEND, chunk_checksum
 from nimprep.store.reader import Store
-from nimprep.store.seal import MEND, chunk_checksum
 from nimprep.store.shards import encode_chunk, read_checksums, read_index, split_shard
 from nimprep.store.storage import LocalStorage
 from nimprep.store.writer import StoreLayout, StoreWriter
@@ -37,7 +37,7 @@ class StoreChunks:
         codec = store.attributes["codec"]
         self._anew = (*shape, codec) != (layout.height, layout.width, layout.codec)
 
-    def chunk(self, modality: str, frame: int) -> bytes:
+    def chunk(self, modality: str, index: int) -> bytes:
         """Return a frame's chunk.
 
         Raises
@@ -46,14 +46,14 @@ class StoreChunks:
             It is damaged.
         """
         array = self._store.arrays[modality]
-        packed = None if self._anew else array.fetch(frame)
+        packed = None if self._anew else array.fetch(index)
         if packed is not None:
             data: bytes = packed.tobytes()
             return data
         # Of an absent chunk, too: other programs leave out those that are all fill value.
         shape, fill = self._layout.image_shape(modality), int(self._layout.spec(modality).fill)
         image = np.full(shape, fill, dtype=array.dtype)
-        image[: array.shape[1], : array.shape[2]] = array.read(frame)
+        image[: array.shape[1], : array.shape[2]] = array.read(index)
         return encode_chunk(image, self._layout.chunk_codec(modality))
 
     def whole(self, modality: str, shard: int) -> Path | None:

@@ -30,7 +30,7 @@ MADE = ("normal",)
 """What can be made from the stored depth as a frame is read."""
 
 
-class FrameSource:
+class StoredImages:
     """Decode a store's frames into tensors, padding included.
 
     Holds no open file; safe between threads, after a fork, and to pickle.
@@ -73,13 +73,13 @@ class FrameSource:
         array = None if name in self._made else self.store.arrays.get(name)
         return MODALITIES[name] if array is None else array.modality
 
-    def stored(self, name: str, frame: int, out: npt.NDArray[Any] | None = None) -> Any:
+    def stored(self, name: str, index: int, out: npt.NDArray[Any] | None = None) -> Any:
         """Return an image as the store holds it, (H, W) or (H, W, 3), in `out` where given."""
         if get_worker_info() is not None:
             # A worker's main thread would else start Blosc's pool of threads.
             blosc.use_threads = False
         if name in self._made:
-            values = to_integers(MODALITIES[name], self._estimated(frame))
+            values = to_integers(MODALITIES[name], self._estimated(index))
             if out is None:
                 return values
             out[...] = values
@@ -90,10 +90,10 @@ class FrameSource:
             out[...] = MODALITIES[name].fill
             return out
         out = empty(array.shape[1:], array.dtype) if out is None else out
-        array.decode(array.fetch(frame), out, frame)
+        array.decode(array.fetch(index), out, index)
         return out
 
-    def scaled(self, name: str, frame: int, scaling: Scaling, out: Tensor) -> None:
+    def scaled(self, name: str, index: int, scaling: Scaling, out: Tensor) -> None:
         """Write an image as the network takes it: one pass from the decoded chunk.
 
         Parameters
@@ -103,9 +103,9 @@ class FrameSource:
         planes = out.numpy().reshape(out.shape[0], -1)
         modality = self.modality(name)
         if modality.values == "vectors":
-            self._unit(name, frame, planes)
+            self._unit(name, index, planes)
             return
-        stored = self.stored(name, frame).reshape(-1)
+        stored = self.stored(name, index).reshape(-1)
         scale, offset = scaling.rows(name)
         if modality.values == "numbers":
             fill, steps = modality.fill, modality.steps
@@ -115,11 +115,11 @@ class FrameSource:
         else:
             samples.scaled_colors(stored, scale, offset, planes)
 
-    def label(self, frame: int, out: Tensor) -> None:
+    def label(self, index: int, out: Tensor) -> None:
         """Write the label: (H, W) int64, 255 = ignore and padding."""
-        samples.widened(self.stored("label", frame).reshape(-1), out.numpy().reshape(-1))
+        samples.widened(self.stored("label", index).reshape(-1), out.numpy().reshape(-1))
 
-    def image(self, name: str, frame: int) -> Tensor:
+    def image(self, name: str, index: int) -> Tensor:
         """Return an image as transforms take it.
 
         rgb and hha (3, H, W) uint8, depth, disparity, transformed_disparity and elevation
@@ -129,26 +129,26 @@ class FrameSource:
         modality = self.modality(name)
         if modality.values == "vectors":
             planes = empty((3, *self.size), np.float32)
-            self._unit(name, frame, planes.reshape(3, -1))
+            self._unit(name, index, planes.reshape(3, -1))
             return torch.from_numpy(planes)
         if modality.values == "classes":
             label = torch.from_numpy(empty(self.size, np.int64))
-            self.label(frame, label)
+            self.label(index, label)
             return label
-        image = torch.from_numpy(from_integers(modality, self.stored(name, frame)))
+        image = torch.from_numpy(from_integers(modality, self.stored(name, index)))
         return image.permute(2, 0, 1) if modality.channels else image[None]
 
-    def _unit(self, name: str, frame: int, planes: npt.NDArray[np.float32]) -> None:
+    def _unit(self, name: str, index: int, planes: npt.NDArray[np.float32]) -> None:
         if name in self._made:
-            samples.channels_first(self._estimated(frame).reshape(-1), planes)
+            samples.channels_first(self._estimated(index).reshape(-1), planes)
         else:
-            samples.unit_vectors(self.stored(name, frame).reshape(-1), planes)
+            samples.unit_vectors(self.stored(name, index).reshape(-1), planes)
 
-    def _estimated(self, frame: int) -> npt.NDArray[np.float32]:
+    def _estimated(self, index: int) -> npt.NDArray[np.float32]:
         """Return the normals of a frame's stored depth, (H, W, 3), zeros in the padding."""
-        camera = self.store.camera(frame)
+        camera = self.store.camera(index)
         height, width = camera.shape
-        depth_m = depth_from_millimetres(self.stored("depth", frame))
+        depth_m = depth_from_millimetres(self.stored("depth", index))
         out = empty((*camera.shape, 3), np.float32)
         valid = np.ascontiguousarray(depth_m[:height, :width])
         estimate_normals(valid, camera, method=self.normals, out=out, num_threads=1)
