@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from nimprep.frame import Frame, LabelClass
+from nimprep.images import read_header
 from nimprep.modality import MODALITIES
 from nimprep.splits import SplitName
 
@@ -90,3 +91,56 @@ class Reader(Protocol):
             cannot be.
         """
         ...
+
+
+class ReaderBase:
+    """Answer as most readers do; a subclass has `info`, `root`, `ids`, `sources` and `read`."""
+
+    def group(self, frame_id: str) -> str:
+        """Return "": no scene is known."""
+        return ""
+
+    def fixed_split(self, frame_id: str) -> SplitName | None:
+        """Return None: the frame may go into any split."""
+        return None
+
+    def metadata(self, frame_id: str) -> dict[str, Any]:
+        """Return nothing: images and cameras are all there is."""
+        return {}
+
+    def shape(self: Reader, frame_id: str) -> tuple[int, int]:
+        """Return (height, width) from the header of the first of the frame's sources."""
+        header = read_header(self.sources(frame_id)[0])
+        return header.height, header.width
+
+
+class WrappedReader:
+    """Answer as another reader does; a subclass says what differs."""
+
+    def __init__(self, reader: Reader) -> None:
+        self._reader = reader
+        self.info, self.root, self.ids = reader.info, reader.root, reader.ids
+
+    def group(self, frame_id: str) -> str:
+        """Return the scene the frame belongs to."""
+        return self._reader.group(frame_id)
+
+    def fixed_split(self, frame_id: str) -> SplitName | None:
+        """Return the split the dataset's authors put the frame in."""
+        return self._reader.fixed_split(frame_id)
+
+    def sources(self, frame_id: str) -> tuple[Path, ...]:
+        """Return the files `read` opens for the frame."""
+        return self._reader.sources(frame_id)
+
+    def metadata(self, frame_id: str) -> dict[str, Any]:
+        """Return what else the dataset says of the frame."""
+        return self._reader.metadata(frame_id)
+
+    def shape(self, frame_id: str) -> tuple[int, int]:
+        """Return (height, width) of the frame's images."""
+        return self._reader.shape(frame_id)
+
+    def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
+        """Return the frame."""
+        return self._reader.read(frame_id, modalities)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,7 @@ from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES
 from nimprep.parallel import map_in_order
-from nimprep.readers.base import DatasetInfo, Reader
-from nimprep.splits import SplitName
+from nimprep.readers.base import Reader, WrappedReader
 
 
 @dataclass(frozen=True)
@@ -47,43 +45,12 @@ class Margins:
         return left_over
 
 
-class CroppedReader:
+class CroppedReader(WrappedReader):
     """Read another reader's frames with margins cut off."""
 
     def __init__(self, reader: Reader, margins: Margins) -> None:
-        self._reader = reader
+        super().__init__(reader)
         self.margins = margins
-
-    @property
-    def info(self) -> DatasetInfo:
-        """What holds for every frame; cropping changes none of it."""
-        return self._reader.info
-
-    @property
-    def root(self) -> Path:
-        """The dataset's folder."""
-        return self._reader.root
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """Every frame, sorted."""
-        return self._reader.ids
-
-    def group(self, frame_id: str) -> str:
-        """Return the scene the frame belongs to."""
-        return self._reader.group(frame_id)
-
-    def fixed_split(self, frame_id: str) -> SplitName | None:
-        """Return the split the dataset's authors put the frame in."""
-        return self._reader.fixed_split(frame_id)
-
-    def sources(self, frame_id: str) -> tuple[Path, ...]:
-        """Return the files `read` opens for the frame."""
-        return self._reader.sources(frame_id)
-
-    def metadata(self, frame_id: str) -> dict[str, Any]:
-        """Return what else the dataset says of the frame; it holds for the whole image."""
-        return self._reader.metadata(frame_id)
 
     def shape(self, frame_id: str) -> tuple[int, int]:
         """Return (height, width) after cropping."""

@@ -13,7 +13,7 @@ from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import Frame
 from nimprep.images import read_depth, read_header, read_label, read_rgb
 from nimprep.modality import MODALITIES
-from nimprep.readers.base import DatasetInfo
+from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.readers.cameras import (
     CameraSource,
     camera_from_document,
@@ -22,7 +22,6 @@ from nimprep.readers.cameras import (
 )
 from nimprep.readers.description import Description, files_by_id, group_of
 from nimprep.readers.frames import check_label, check_same_shape, depth_in_metres, match_frames
-from nimprep.splits import SplitName
 
 _NOMINAL_NOTE = (
     "no calibration: assuming the nominal RealSense D415 colour camera (69.4 degrees wide); "
@@ -30,7 +29,7 @@ _NOMINAL_NOTE = (
 )
 
 
-class FolderReader:
+class FolderReader(ReaderBase):
     """Read a dataset that a `Description` describes.
 
     Parameters
@@ -113,18 +112,10 @@ class FolderReader:
         """Return the scene by the description's pattern; "" = none."""
         return group_of(frame_id, self._description.group)
 
-    def fixed_split(self, frame_id: str) -> SplitName | None:
-        """Return None: a folder says nothing of splits."""
-        return None
-
     def sources(self, frame_id: str) -> tuple[Path, ...]:
         """Return the frame's image files and the camera file that holds for it, where one does."""
         own = (self._cameras[frame_id],) if self._cameras else self._shared
         return (*(files[frame_id] for files in self._files.values()), *own)
-
-    def metadata(self, frame_id: str) -> dict[str, Any]:
-        """Return nothing: images and cameras are all there is."""
-        return {}
 
     def shape(self, frame_id: str) -> tuple[int, int]:
         """Return (height, width) from the depth image's header."""

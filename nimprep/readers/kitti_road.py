@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import IGNORE_LABEL, Frame, LabelClass
-from nimprep.images import read_header, read_rgb
+from nimprep.images import read_rgb
 from nimprep.kitti.calibration import Calibration, read_calibration
 from nimprep.kitti.depth import (
     DepthSource,
@@ -36,7 +36,7 @@ from nimprep.kitti.images import read_ground_truth
 from nimprep.kitti.layout import RoadFiles, list_road_files
 from nimprep.kitti.names import TARGETS, Target, frame_category
 from nimprep.modality import MODALITIES
-from nimprep.readers.base import DatasetInfo
+from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.splits import SplitName
 
 
@@ -47,7 +47,7 @@ def _classes(target: Target) -> tuple[LabelClass, ...]:
     )
 
 
-class KittiRoadReader:
+class KittiRoadReader(ReaderBase):
     """Read KITTI road frames; ids are ``training/um_000000``, groups the categories.
 
     Depth is depth_u16 where it is there, else the LiDAR scan, else stereo, both interpolated
@@ -151,11 +151,6 @@ class KittiRoadReader:
         if frame_id in self._depth:
             paths.append(source_file(files, self._depth[frame_id]))
         return tuple(paths)
-
-    def shape(self, frame_id: str) -> tuple[int, int]:
-        """Return (height, width) from the image's header."""
-        header = read_header(self._files[frame_id].image)
-        return header.height, header.width
 
     def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
         """Return the frame's rgb, depth_m and label, as far as `modalities` names them."""
