@@ -8,29 +8,23 @@ everywhere, and comes back as the error it is.
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import logging
 import pickle
-import threading
 import time
 import uuid
 import warnings
-import zlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import replace
-from functools import lru_cache
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 from nimprep import __version__
-from nimprep.conversion.job import Job, encode_unit
+from nimprep.conversion.job import Job
 from nimprep.conversion.records import UnitRecord
-from nimprep.errors import ClusterError, NimprepError, StoreError
+from nimprep.conversion.worker import Reply, packed
+from nimprep.errors import ClusterError, NimprepError
 from nimprep.readers import Reader
-from nimprep.store.metadata import ROOT
 
 CONNECT_S = 10.0
 """How long a scheduler may take to answer."""
@@ -45,12 +39,6 @@ AHEAD = 2
 """Units in the works per thread of the cluster: one at work, one that waits."""
 
 RETRIES = 3
-
-Reply = tuple[str, bytes]
-"""What a task returns: "record", "error" or "version", and the bytes of it.
-
-Bytes, so that the scheduler never needs nimprep to pass it on.
-"""
 
 
 def encode_units(
@@ -170,7 +158,7 @@ def _threads(client: Any) -> int:
 def _submitter(client: Any, job: Job) -> Callable[[int], Any]:
     """Send the job to the cluster, once; return what submits a unit of it by number."""
     run = uuid.uuid4().hex
-    data = _packed(job, run)
+    data = packed(job, run)
     # A task that returns it, and not scattered data: the scheduler can make that anew when the
     # worker that holds it is lost.
     shared = client.submit(_constant(), data, key=f"nimprep-job-{run}", retries=RETRIES)
@@ -181,25 +169,6 @@ def _submitter(client: Any, job: Job) -> Callable[[int], Any]:
         return client.submit(encode, __version__, shared, number, key=key, retries=RETRIES)
 
     return submit
-
-
-def _packed(job: Job, run: str) -> bytes:
-    """Return what a worker needs to know; `run` tells conversions apart that are alike."""
-    return zlib.compress(pickle.dumps((run, _portable(job), _root_digest(job))), 1)
-
-
-def _portable(job: Job) -> Job:
-    """Return the job with paths that hold in whatever folder a worker runs."""
-    files: dict[str, Any] = {
-        name: Path(value).absolute()
-        for name in ("camera", "description")
-        if isinstance(value := getattr(job.options, name), (str, Path))
-    }
-    return replace(job, source=job.source.absolute(), options=replace(job.options, **files))
-
-
-def _root_digest(job: Job) -> bytes:
-    return hashlib.sha256(job.storage.read(ROOT) or b"").digest()
 
 
 def _constant() -> Callable[[bytes], bytes]:
@@ -225,7 +194,7 @@ def _entry() -> Callable[[str, bytes, int], Reply]:
             from distributed import get_worker
 
             return "version", f"{found} on worker {get_worker().address}".encode()
-        from nimprep.conversion.distributed import encode_unit_of
+        from nimprep.conversion.worker import encode_unit_of
 
         return encode_unit_of(data, number)
 
@@ -281,43 +250,3 @@ def _record(future: Any, number: int) -> UnitRecord:
     if kind == "error":
         raise pickle.loads(data)
     return UnitRecord.from_json(data)
-
-
-_OPENING = threading.Lock()
-
-
-@lru_cache(maxsize=4)
-def _opened(data: bytes) -> tuple[Job, Reader, bytes]:
-    _, job, root = pickle.loads(zlib.decompress(data))
-    _check_root(job, root)
-    return job, job.open_reader(), root
-
-
-def _check_root(job: Job, root: bytes) -> None:
-    """Make sure that the target is the one the job was planned for, and still at work on it.
-
-    A task may outlive the conversion that submitted it; it must not write into the next one.
-    """
-    if _root_digest(job) != root:
-        raise StoreError(f"{job.storage}: expected the store being converted, found it not there")
-
-
-def encode_unit_of(data: bytes, number: int) -> Reply:
-    """Encode and write one unit, on a worker; the source is opened once per process."""
-    from distributed import get_worker
-
-    try:
-        with _OPENING:
-            job, reader, root = _opened(data)
-        record = encode_unit(job, reader, number, lambda: _check_root(job, root))
-    except NimprepError as error:
-        if error.frame_id is None or isinstance(error.__cause__, OSError):
-            error.add_note(
-                f"on worker {get_worker().address}: source and target must be in reach of every "
-                "worker, under the same paths"
-            )
-        # A file system's fault may be this worker's alone: raised, Dask tries again.
-        if isinstance(error.__cause__, OSError):
-            raise
-        return "error", pickle.dumps(error)
-    return "record", record.to_json()

@@ -71,7 +71,7 @@ class Cluster:
         gate = Gate(Path(tempfile.mkdtemp(dir=self._folder)))
 
         def shut(arrived: str, gate: str) -> None:
-            from nimprep.conversion import distributed as module
+            from nimprep.conversion import worker as module
 
             encode = module.encode_unit
 
@@ -85,7 +85,7 @@ class Cluster:
             module.encode_unit = waiting
 
         def remove() -> None:
-            from nimprep.conversion import distributed as module
+            from nimprep.conversion import worker as module
 
             module.encode_unit = getattr(module.encode_unit, "encode", module.encode_unit)
 

@@ -15,6 +15,7 @@ import pytest
 
 import nimprep
 from nimprep.conversion import distributed as cluster_module
+from nimprep.conversion import worker as worker_module
 from nimprep.conversion.job import Job
 from nimprep.errors import ClusterError, DecodeError
 from tests.fakes import contents, write_gmrp
@@ -74,7 +75,7 @@ def test_the_bytes_are_those_of_a_conversion_without_a_cluster(
 
     def openings() -> list[int]:
         with cluster.client() as client:
-            found = client.run(lambda: cluster_module._opened.cache_info().misses)
+            found = client.run(lambda: worker_module._opened.cache_info().misses)
         return [found[address] for address in workers]
 
     with cluster.client() as client:
@@ -267,10 +268,10 @@ def test_a_task_that_outlives_its_conversion_does_not_write_into_the_next(
 ) -> None:
     def encode_and_change(client: object, job: Job) -> None:
         with cluster.client() as worker:
-            data = cluster_module._packed(job, "run")
+            data = worker_module.packed(job, "run")
 
             def encode() -> tuple[str, bytes]:
-                return worker.submit(cluster_module.encode_unit_of, data, 0, pure=False).result()
+                return worker.submit(worker_module.encode_unit_of, data, 0, pure=False).result()
 
             assert encode()[0] == "record"
             written = contents(tmp_path)
