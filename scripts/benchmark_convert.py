@@ -45,9 +45,10 @@ from numcodecs import blosc
 
 import nimprep
 from nimprep.conversion import run as run_module
-from nimprep.conversion.job import Job, encode_unit
+from nimprep.conversion.encode import encode_unit
+from nimprep.conversion.job import Job
 from nimprep.conversion.records import UnitRecord
-from nimprep.readers import Reader
+from nimprep.readers import Reader, open_reader
 from nimprep.synthetic import write_synthetic
 
 FOLDERS = ("rgb", "depth_u16", "label")
@@ -119,7 +120,7 @@ _POOLS: dict[int, ProcessPoolExecutor] = {}
 def encode_by_processes(
     job: Job, reader: Reader, todo: Sequence[int], workers: int, done: Callable[[], None]
 ) -> Generator[UnitRecord]:
-    """Encode units as `nimprep.conversion.local.encode_units` does, by processes."""
+    """Encode units as `nimprep.conversion.encode.encode_units` does, by processes."""
     if workers not in _POOLS:
         _POOLS[workers] = ProcessPoolExecutor(workers, get_context("spawn"))
     pool, left, waiting = _POOLS[workers], iter(todo), set[Future[UnitRecord]]()
@@ -143,7 +144,7 @@ def encode_in_process(job: Job, number: int) -> UnitRecord:
 def opened(source: Path) -> Reader:
     """Open a source once per process."""
     warnings.simplefilter("ignore")
-    return nimprep.conversion.job.open_reader(source)
+    return open_reader(source)
 
 
 def convert(raw: Path, target: Path, workers: int) -> None:

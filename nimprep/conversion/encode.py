@@ -1,30 +1,31 @@
-"""One frame from reader to chunks: check, derive, quantise, pad, compress."""
+"""From frames to shards: each frame is checked, derived from, quantised, padded and compressed."""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.conversion.records import DEPTHS, FrameFacts
+from nimprep.conversion.job import Job
+from nimprep.conversion.records import DEPTHS, FrameFacts, SkippedFrame, UnitRecord
 from nimprep.conversion.sources import FileState, changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import Recipe
-from nimprep.errors import ArrayError, DecodeError
+from nimprep.errors import ArrayError, DecodeError, NimprepError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, given_for
+from nimprep.parallel import in_order
 from nimprep.readers.base import Reader
 from nimprep.store.checksums import chunk_checksum
-from nimprep.store.frames import (
-    depth_from_millimetres,
-    depth_to_millimetres,
-    to_integers,
-)
+from nimprep.store.frames import depth_from_millimetres, depth_to_millimetres, to_integers
 from nimprep.store.shards import encode_chunk
 from nimprep.store.statistics import channel_sums
-from nimprep.store.writer import StoreLayout
+from nimprep.store.writer import StoreLayout, StoreWriter
 
 
 @dataclass(frozen=True)
@@ -44,17 +45,93 @@ class EncodedFrame:
     depth_counts: npt.NDArray[np.int64]
 
 
-def _padded(image: npt.NDArray[Any], shape: tuple[int, ...], fill: int) -> npt.NDArray[Any]:
-    if image.shape == shape:
-        return image
-    if image.shape[0] > shape[0] or image.shape[1] > shape[1]:
-        raise ArrayError(
-            f"expected at most {shape[1]}x{shape[0]} pixels like the dataset's depth, "
-            f"found {image.shape[1]}x{image.shape[0]}"
-        )
-    padded = np.full(shape, fill, dtype=image.dtype)
-    padded[: image.shape[0], : image.shape[1]] = image
-    return padded
+def encode_units(
+    job: Job, reader: Reader, todo: Sequence[int], workers: int, done: Callable[[], None]
+) -> Generator[UnitRecord]:
+    """Encode and write units, in order; yield each one's record once its shards are written.
+
+    Threads share the work frame by frame: decoding, the kernels and compression release the GIL;
+    one more writes. Held in memory: the compressed chunks of two units, and two frames per worker.
+
+    Parameters
+    ----------
+    todo : sequence of int
+        Units' numbers.
+    done : callable
+        Called after each frame.
+
+    Raises
+    ------
+    NimprepError
+        A frame is bad or the disk full; the units before it have been yielded.
+    """
+    units = job.units()
+    ids = [frame_id for number in todo for frame_id in units[number]]
+    writing: deque[Future[UnitRecord]] = deque()
+    with (
+        ThreadPoolExecutor(workers, thread_name_prefix="nimprep") as pool,
+        ThreadPoolExecutor(1, thread_name_prefix="nimprep-writer") as writer,
+    ):
+        encoded = in_order(lambda i: pool.submit(_encode_or_skip, job, reader, i), ids, 2 * workers)
+        try:
+            for number in todo:
+                frames = []
+                for _ in units[number]:
+                    frames.append(next(encoded).result())
+                    done()
+                writing.append(writer.submit(_write_unit, job, number, frames))
+                if len(writing) > 1:
+                    yield writing.popleft().result()
+        except NimprepError:
+            # What is whole already must not be made again.
+            while writing:
+                yield writing.popleft().result()
+            raise
+        finally:
+            encoded.close()
+        while writing:
+            yield writing.popleft().result()
+
+
+def encode_unit(
+    job: Job, reader: Reader, number: int, before_writing: Callable[[], None] = lambda: None
+) -> UnitRecord:
+    """Encode and write one unit on the calling thread alone."""
+    frames = [_encode_or_skip(job, reader, frame_id) for frame_id in job.units()[number]]
+    before_writing()
+    return _write_unit(job, number, frames)
+
+
+def _write_unit(job: Job, number: int, frames: Sequence[EncodedFrame | SkippedFrame]) -> UnitRecord:
+    """Write the unit's shard of every modality and return what is to be kept of it."""
+    good = [frame for frame in frames if isinstance(frame, EncodedFrame)]
+    writer = StoreWriter(job.storage, job.layout)
+    counts = np.zeros(DEPTHS, dtype=np.int64)
+    for frame in good:
+        counts += frame.depth_counts
+    for modality in job.layout.modalities if good else ():
+        writer.write_shard(modality, number, [frame.chunks[modality] for frame in good])
+    skipped = tuple(frame for frame in frames if isinstance(frame, SkippedFrame))
+    return UnitRecord(number, tuple(frame.facts for frame in good), skipped, counts)
+
+
+def _encode_or_skip(job: Job, reader: Reader, frame_id: str) -> EncodedFrame | SkippedFrame:
+    """Encode one frame; where bad frames are to be skipped, say why it was.
+
+    Raises
+    ------
+    NimprepError
+        The frame is bad, and none may be; its id is the error's `frame_id`.
+    """
+    state = job.states[frame_id]
+    try:
+        return encode_frame(reader, frame_id, job.layout, job.options.recipe, state)
+    except NimprepError as error:
+        if job.options.on_error == "skip":
+            reason = " ".join(str(error).split()).replace(f"{reader.root}/", "")
+            return SkippedFrame(frame_id, reason)
+        error.frame_id = frame_id
+        raise
 
 
 def encode_frame(
@@ -62,13 +139,13 @@ def encode_frame(
     frame_id: str,
     layout: StoreLayout,
     recipe: Recipe,
-    state: tuple[FileState, ...] | None = None,
+    state: tuple[FileState, ...],
 ) -> EncodedFrame:
     """Read one frame and make everything a store holds of it, on the calling thread alone.
 
     Parameters
     ----------
-    state : tuple of FileState, optional
+    state : tuple of FileState
         What `frame_state` said of the frame's files when the conversion began.
 
     Raises
@@ -76,7 +153,6 @@ def encode_frame(
     DecodeError
         A file is damaged, holds what cannot be, or changed meanwhile; it is named.
     """
-    state = frame_state(reader, frame_id) if state is None else state
     wanted = given_for(layout.modalities)
     if recipe.fill == "colorization":
         wanted.add("rgb")
@@ -162,3 +238,16 @@ def _chunks(
         image = _padded(stored[name], layout.image_shape(name), int(layout.spec(name).fill))
         chunks[name] = encode_chunk(image, layout.chunk_codec(name))
     return chunks
+
+
+def _padded(image: npt.NDArray[Any], shape: tuple[int, ...], fill: int) -> npt.NDArray[Any]:
+    if image.shape == shape:
+        return image
+    if image.shape[0] > shape[0] or image.shape[1] > shape[1]:
+        raise ArrayError(
+            f"expected at most {shape[1]}x{shape[0]} pixels like the dataset's depth, "
+            f"found {image.shape[1]}x{image.shape[0]}"
+        )
+    padded = np.full(shape, fill, dtype=image.dtype)
+    padded[: image.shape[0], : image.shape[1]] = image
+    return padded

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.conversion.encode import encode_units as encode_units_here
 from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, packing_goes_on
 from nimprep.conversion.job import Base, Job
 from nimprep.conversion.journal import Journal, LostRecordsError
-from nimprep.conversion.local import encode_units as encode_units_here
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_modalities, plan_splits

@@ -11,7 +11,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from nimprep.conversion.job import Job, encode_unit
+from nimprep.conversion.encode import encode_unit
+from nimprep.conversion.job import Job
 from nimprep.errors import NimprepError, StoreError
 from nimprep.readers import Reader
 from nimprep.store.metadata import ROOT

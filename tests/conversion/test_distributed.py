@@ -234,7 +234,7 @@ def test_a_file_system_that_fails_for_a_moment_is_tried_again(
     source = write_gmrp(tmp_path / "gmrp", frames=4)
 
     def fail_once() -> None:
-        from nimprep.conversion import job
+        from nimprep.conversion import encode
 
         def failing(*arguments: object) -> None:
             mend()
@@ -243,14 +243,15 @@ def test_a_file_system_that_fails_for_a_moment_is_tried_again(
             except OSError as error:
                 raise DecodeError("gone for a moment") from error
 
-        job.encode_frame = failing  # type: ignore[assignment]
+        failing.mended = encode.encode_frame  # type: ignore[attr-defined]
+        encode.encode_frame = failing  # type: ignore[assignment]
 
     def mend() -> bool:
-        from nimprep.conversion import encode, job
+        from nimprep.conversion import encode
 
-        mended = job.encode_frame is not encode.encode_frame
-        job.encode_frame = encode.encode_frame
-        return mended
+        there = encode.encode_frame
+        encode.encode_frame = getattr(there, "mended", there)
+        return encode.encode_frame is not there
 
     with cluster.client() as client:
         client.run(fail_once)
