@@ -25,12 +25,21 @@ from nimprep.torch.stored_images import StoredImages
 Transform = Callable[[dict[str, Any]], dict[str, Any]]
 """From a sample to a sample; see `StoreDataset`."""
 
+_NOT_SAID = -(2**63)
+"""The epoch, before anybody said which it is."""
+
 
 class StoreDataset(Dataset[dict[str, Any]]):
     """Serve the frames of a store's split as tensors.
 
     For `torch.utils.data.DataLoader` with any of its options, or for `StoreLoader`, which is
     faster. Nothing is held open, so that it may be forked, pickled and shared between threads.
+
+    What a transform draws is new every time that a sample is read: its generator is seeded from
+    torch's own in the process that reads, which a ``DataLoader`` seeds anew for each pass and
+    worker, and ``torch.manual_seed`` for a run. Once `set_epoch` was called it depends on (seed,
+    epoch, item) instead, alike for any number of workers, and the same in every pass until the
+    next call. `StoreLoader` always says the epoch itself.
 
     Parameters
     ----------
@@ -51,8 +60,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
         (1, H, W) float32 metres, "normal" (3, H, W) float32, "hha" (3, H, W) uint8, "disparity",
         "transformed_disparity", "elevation" (1, H, W) float32 as a `Frame` has them, as far as they
         are used; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id"; "size" (height,
-        width) without padding; "generator", a `torch.Generator` that depends on (seed, epoch,
-        index) alone. Returns such a dict.
+        width) without padding; "generator", a `torch.Generator` to draw from, seeded as
+        said above. Returns such a dict.
     normals : str
         "cached" = as stored; "nim", "nim-edge" = computed by that method of `estimate_normals`
         from the stored depth as a frame is read.
@@ -115,19 +124,24 @@ class StoreDataset(Dataset[dict[str, Any]]):
         self.dtype = dtype
         self.seed = seed
         # In shared memory, so that workers that persist see what set_epoch says later.
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+        self._epoch = torch.full((), _NOT_SAID, dtype=torch.int64)
+        self._epoch.share_memory_()  # type: ignore[no-untyped-call]
 
     def __len__(self) -> int:
         return len(self.indices)
 
     @property
-    def epoch(self) -> int:
-        """The epoch that transforms draw for."""
-        return int(self._epoch)
+    def epoch(self) -> int | None:
+        """The epoch that transforms draw for, as `set_epoch` said; None = it was not called."""
+        epoch = int(self._epoch)
+        return None if epoch == _NOT_SAID else epoch
 
-    def set_epoch(self, epoch: int) -> None:
-        """Say which epoch comes next, before its iteration starts; workers see it too."""
-        self._epoch.fill_(epoch)
+    def set_epoch(self, epoch: int | None) -> None:
+        """Say which epoch comes next, before its iteration starts; workers see it too.
+
+        None = transforms draw anew whenever a sample is read, as before the first call.
+        """
+        self._epoch.fill_(_NOT_SAID if epoch is None else epoch)
 
     def __getitem__(self, item: SupportsIndex) -> Sample:
         return self.sample(item, self.epoch)
@@ -142,8 +156,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
             self.fill(batch, position, self._checked(item))
         return batch
 
-    def sample(self, item: SupportsIndex, epoch: int) -> Sample:
-        """Return the sample of an item in an epoch.
+    def sample(self, item: SupportsIndex, epoch: int | None) -> Sample:
+        """Return the sample of an item in an epoch; None = as torch's generator draws.
 
         Raises
         ------
@@ -158,7 +172,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
             self.fill(batch, 0, number)
             return Sample({name: _only(value) for name, value in batch.items()})
         raw = self._raw(number)
-        raw["generator"] = torch.Generator().manual_seed(_seed(self.seed, epoch, number))
+        drawn = int(torch.randint(2**63 - 1, ())) if epoch is None else epoch
+        raw["generator"] = torch.Generator().manual_seed(_seed(self.seed, drawn, number))
         return self._assembled(self.transform(raw))
 
     def allocate(self, count: int, *, pinned: bool = False) -> Batch:

@@ -173,7 +173,6 @@ class StoreLoader:
         if self._begun:
             self.set_epoch(self._epoch + 1)
         self._begun = True
-        self.dataset.set_epoch(self._epoch)
         batches = self._batches()[self._start :]
         return self._run(batches, self._epoch)
 

@@ -35,6 +35,12 @@ def jitter(sample: dict[str, object]) -> dict[str, object]:
     return {**sample, "rgb": sample["rgb"].to(torch.float32) + noise}
 
 
+def draw(sample: dict[str, object]) -> dict[str, object]:
+    """Put one random number in the colours' place."""
+    number = torch.rand((), generator=sample["generator"], dtype=torch.float64)
+    return {**sample, "rgb": torch.zeros_like(sample["rgb"], dtype=torch.float32) + number}
+
+
 def expected(frame: nimprep.Frame, name: str) -> np.ndarray:
     """Return what a network takes of a frame, by the documented constants."""
     if name in PLANES:
@@ -263,6 +269,7 @@ def test_images_of_several_sizes_make_no_sample_and_no_batch(path: Path) -> None
 @pytest.mark.parametrize("fusion", [False, True])
 def test_a_batch_is_its_samples_stacked(path: Path, transform: object, fusion: bool) -> None:
     dataset = StoreDataset(path, None, "rgb+d", fusion, transform)
+    dataset.set_epoch(0)
     order = [4, -1, 0]
     batch = dataset.__getitems__(order)
     stacked = collate([dataset[i] for i in order])
@@ -316,6 +323,88 @@ def test_a_sample_is_the_same_on_any_number_of_workers(path: Path, options: dict
         assert len(epochs[-1]) == FRAMES
     assert epochs[0] != epochs[1]
     assert epochs[0] != numbers(DataLoader(StoreDataset(path, None, "rgb+d", transform=jitter)))
+
+
+WORKERS: dict[str, dict[str, object]] = {
+    "none": {},
+    "fork": {"num_workers": 2, "multiprocessing_context": "fork"},
+    "fork, kept": {
+        "num_workers": 2,
+        "multiprocessing_context": "fork",
+        "persistent_workers": True,
+    },
+    "spawn, kept": {
+        "num_workers": 1,
+        "multiprocessing_context": "spawn",
+        "persistent_workers": True,
+    },
+}
+
+
+@pytest.mark.parametrize("options", WORKERS.values(), ids=WORKERS)
+def test_every_pass_of_a_plain_loop_draws_anew(path: Path, options: dict) -> None:
+    loader = DataLoader(StoreDataset(path, None, "rgb", transform=draw), batch_size=4, **options)
+    passes = [numbers(loader) for _ in range(3)]
+    assert len({value for found in passes for value in found.values()}) == 3 * FRAMES
+
+
+@pytest.mark.parametrize("options", [{}, WORKERS["fork"]], ids=["none", "fork"])
+def test_a_run_is_seeded_by_torch(path: Path, options: dict) -> None:
+    runs = []
+    for seed in (5, 5, 6):
+        torch.manual_seed(seed)
+        dataset = StoreDataset(path, None, "rgb", transform=draw)
+        loader = DataLoader(dataset, batch_size=4, **options)
+        runs.append([numbers(loader), numbers(loader)])
+    assert runs[0] == runs[1]
+    assert not {*runs[0][0].values()} & {*runs[2][0].values()}
+
+
+def test_an_epoch_that_was_said_can_be_taken_back(path: Path) -> None:
+    dataset = StoreDataset(path, None, "rgb", transform=draw)
+    assert dataset.epoch is None
+    drawn = []
+    for epoch in (1, 1, None, None):
+        dataset.set_epoch(epoch)
+        assert dataset.epoch == epoch
+        drawn.append(float(dataset[0]["inputs"][0, 0, 0]))
+    assert drawn[0] == drawn[1]
+    assert len(set(drawn)) == 3
+
+
+@pytest.mark.filterwarnings("ignore")  # of Lightning itself
+def test_lightning_draws_anew_in_every_epoch(path: Path, tmp_path: Path) -> None:
+    import lightning.pytorch as lightning
+
+    class Module(lightning.LightningModule):
+        def __init__(self) -> None:
+            super().__init__()
+            self.weight = torch.nn.Parameter(torch.zeros(()))
+            self.seen: list[list[float]] = []
+
+        def on_train_epoch_start(self) -> None:
+            self.seen.append([])
+
+        def training_step(self, batch: dict, _: int) -> torch.Tensor:
+            self.seen[-1] += batch["inputs"][:, 0, 0, 0].tolist()
+            return self.weight * batch["inputs"].mean()
+
+        def configure_optimizers(self) -> torch.optim.Optimizer:
+            return torch.optim.SGD(self.parameters(), 0.1)
+
+    module = Module()
+    loader = DataLoader(StoreDataset(path, None, "rgb", transform=draw), batch_size=4)
+    lightning.Trainer(
+        max_epochs=3,
+        accelerator="cpu",
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        default_root_dir=tmp_path,
+    ).fit(module, loader)
+    assert [len(seen) for seen in module.seen] == [FRAMES] * 3
+    assert len({value for seen in module.seen for value in seen}) == 3 * FRAMES
 
 
 @pytest.mark.parametrize("dtype", ["float32", "stored"])

@@ -39,6 +39,7 @@ def test_batches_are_dataloaders(
     path: Path, transform: object, fusion: bool, num_threads: int
 ) -> None:
     dataset = StoreDataset(path, None, "rgb+d", fusion, transform)
+    dataset.set_epoch(0)
     ours = list(StoreLoader(dataset, 4, num_threads=num_threads))
     theirs = list(DataLoader(dataset, 4))
     assert [len(batch["id"]) for batch in ours] == [4, 4, 2]
