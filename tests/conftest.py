@@ -37,6 +37,19 @@ def reference_data() -> Path:
     return folder
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _files_are_left_to_the_cache() -> Iterator[None]:
+    """Write to the disk whenever the system likes: no test cuts the power.
+
+    Waiting for it takes most of a small conversion's time. Processes that tests start do wait, and
+    that files are synced, and in which order, is tested with another in the place of `os.fsync`.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        # It fails where fsync does: for what is not open.
+        patch.setattr(os, "fsync", lambda descriptor: os.fstat(descriptor) and None)
+        yield
+
+
 @pytest.fixture
 def processes() -> Iterator[Processes]:
     """Start processes that end with the test, however that ends."""

@@ -1,18 +1,11 @@
 """Fixtures for tests of conversions."""
 
-import os
 from collections.abc import Iterator
 
 import pytest
 
 from tests.conversion.mortal import Mortals
 from tests.processes import Processes
-
-
-@pytest.fixture
-def unsynced(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave files to the cache: no test cuts the power, and waiting takes most of the time."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 @pytest.fixture(scope="session")

@@ -21,10 +21,7 @@ from nimprep.store.writer import StoreWriter
 from tests.checksums import edit_attributes
 from tests.fakes import contents, write_gmrp, write_nyu_like, write_png
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
-    pytest.mark.usefixtures("unsynced"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
 FOLDERS = ("rgb", "depth_u16", "label")
 LATER = ("split/", "zarr.json")

@@ -18,10 +18,7 @@ from tests.fakes import contents, write_gmrp
 from tests.held import RECORD, held
 from tests.processes import PATIENCE_S, Processes
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
-    pytest.mark.usefixtures("unsynced"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
 KILLS = int(os.environ.get("NIMPREP_KILLS", "6"))
 

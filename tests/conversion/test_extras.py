@@ -28,7 +28,6 @@ from tests.fakes import contents
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
     pytest.mark.filterwarnings("ignore:Consolidated metadata"),
-    pytest.mark.usefixtures("unsynced"),
 ]
 
 SMALL: dict[str, Any] = {"shard_length": 2, "modalities": ("rgb", "depth")}

@@ -15,10 +15,7 @@ from nimprep.store.storage import LocalStorage
 from tests.conversion.test_records import DAMAGES
 from tests.fakes import contents, write_gmrp
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
-    pytest.mark.usefixtures("unsynced"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
 OPTIONS: dict[str, Any] = {"shard_length": 4, "modalities": ("depth", "label"), "workers": 1}
 FRAMES, BAD = 10, ("000001", "000005")

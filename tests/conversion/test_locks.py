@@ -22,10 +22,7 @@ from tests.conversion.test_append import write_frames
 from tests.fakes import contents, write_gmrp
 from tests.processes import Processes, same_code
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
-    pytest.mark.usefixtures("unsynced"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
 OPTIONS = {"shard_length": 2, "modalities": ("depth",)}
 

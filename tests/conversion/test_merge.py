@@ -18,10 +18,7 @@ from tests.conversion.mortal import Mortals
 from tests.conversion.test_append import damage, images_and_tables, same, write_frames
 from tests.fakes import contents, write_gmrp, write_nyu_like
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
-    pytest.mark.usefixtures("unsynced"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
 
 def made(folder: Path, name: str, numbers: range, **options: object) -> Path:

@@ -19,10 +19,7 @@ from nimprep.store.writer import StoreWriter
 from tests.conversion.test_append import write_frames
 from tests.fakes import contents, write_gmrp
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
-    pytest.mark.usefixtures("unsynced"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*nominal:UserWarning")
 
 FRAMES, LENGTH = 10, 4
 UNITS = 3

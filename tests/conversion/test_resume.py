@@ -231,7 +231,6 @@ def test_mended_frames_are_taken_in_when_it_goes_on(
     assert contents(target) == contents(tmp_path / "whole.zarr")
 
 
-@pytest.mark.usefixtures("unsynced")
 def test_killed_at_random_calls_it_ends_with_the_same_bytes(
     mortals: Mortals, tmp_path: Path
 ) -> None:
