@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Literal
@@ -16,6 +17,7 @@ from nimprep.parallel import available_cores, in_order, threads_for
 from nimprep.store.storage import LocalStorage
 from nimprep.torch.collation import Batch, collate
 from nimprep.torch.dataset import StoreDataset
+from nimprep.torch.ranks import part_of, ranks
 
 WAITING = 16
 """Threads that read from an object store: a request takes longer than what is done with it."""
@@ -73,6 +75,11 @@ class StoreLoader:
     themselves, unless `set_epoch` says which comes next. The order depends on (seed, epoch) alone,
     samples on (the dataset's seed, epoch, index), neither on the number of threads.
 
+    Where `torch.distributed` is initialised and no sampler is given, each process gets its own part
+    of every epoch, as `DistributedSampler` would deal them: all parts of one length, for which some
+    samples come twice where they do not divide evenly (a warning says how many). For scores of a
+    whole split in each process, turn that off with ``distributed=False``.
+
     A batch stays valid for as long as it is held. Its memory is used again once it is not.
 
     Parameters
@@ -100,6 +107,8 @@ class StoreLoader:
         and a batch kept for longer changes.
     dtype : {"float32", "stored"}, optional
         In place of the dataset's.
+    distributed : bool
+        Whether the processes of a distributed run share the frames; a sampler decides that itself.
 
     Raises
     ------
@@ -122,6 +131,7 @@ class StoreLoader:
         pin_memory: bool | None = None,
         reuse_buffers: bool = False,
         dtype: Literal["float32", "stored"] | None = None,
+        distributed: bool = True,
     ) -> None:
         threads = _default_threads(dataset) if num_threads is None else num_threads
         for name, number in (
@@ -144,17 +154,38 @@ class StoreLoader:
         self.reuse_buffers = reuse_buffers
         self._shuffle = shuffle
         self._sampler = sampler
+        self._distributed = distributed and sampler is None
         self._seed = seed
         self._epoch = 0
         self._start = 0
         self._begun = False
+        self._said = False
 
     def __len__(self) -> int:
         total = self._samples()
         return total // self.batch_size if self.drop_last else -(-total // self.batch_size)
 
     def _samples(self) -> int:
-        return len(self.dataset if self._sampler is None else self._sampler)  # type: ignore[arg-type]
+        if self._sampler is not None:
+            return len(self._sampler)  # type: ignore[arg-type]
+        return -(-len(self.dataset) // self._ranks()[1])
+
+    def _ranks(self) -> tuple[int, int]:
+        return ranks() if self._distributed else (0, 1)
+
+    def _own(self, order: list[int]) -> list[int]:
+        """Return this process's part of an epoch's order, and say once what comes twice."""
+        rank, count = self._ranks()
+        part = part_of(order, rank, count)
+        twice = len(part) * count - len(order)
+        if twice and rank == 0 and not self._said:
+            self._said = True
+            warnings.warn(
+                f"{len(order)} samples over {count} processes: {twice} come twice in an epoch, so "
+                f"that each has {len(part)}; distributed=False gives every process all of them",
+                stacklevel=4,
+            )
+        return part
 
     def set_epoch(self, epoch: int) -> None:
         """Say which epoch the next iteration is; it starts at its beginning."""
@@ -187,6 +218,8 @@ class StoreLoader:
             order = random.permutation(len(self.dataset)).tolist()
         else:
             order = list(range(len(self.dataset)))
+        if self._sampler is None:
+            order = self._own(order)
         size = self.batch_size
         batches = [order[i : i + size] for i in range(0, len(order), size)]
         if self.drop_last and batches and len(batches[-1]) < size:
