@@ -3,6 +3,7 @@
     nimprep synth raw --frames 64 && nimprep convert raw data.zarr
     python scripts/train.py data.zarr --setup nim-rgb+d
     python scripts/train.py data.zarr --setup nim-rgb+d --resume       # goes on where it stopped
+    python scripts/train.py data.zarr --setup nim-rgb+d --overwrite    # begins anew
     python scripts/train.py data.zarr --setups all                     # a table of its setups
     nimprep evaluate data.zarr runs/nim-rgb+d/predictions/test         # the same scores
 
@@ -12,6 +13,8 @@ An example to start from; the networks of the paper are larger.
 from __future__ import annotations
 
 import argparse
+import io
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +26,10 @@ from torch.nn.functional import cross_entropy, interpolate
 from tqdm import tqdm
 
 import nimprep
+from nimprep.errors import LayoutError, NimprepError
 from nimprep.evaluation import Evaluation
+from nimprep.files import check_file, write_whole
+from nimprep.folders import PARTIAL, refuse_inside, told
 from nimprep.frame import IGNORE_LABEL
 from nimprep.metrics import confusion_matrix
 from nimprep.text import printable
@@ -37,6 +43,8 @@ from nimprep.torch.transforms import (
 )
 
 WIDTHS = (16, 32, 64, 96)
+
+CHECKPOINT = "checkpoint.pt"
 
 
 def block(channels: int, width: int, stride: int = 1) -> nn.Sequential:
@@ -135,10 +143,33 @@ def score(model: Network, data: StoreDataset, split: str, folder: Path | None) -
         label = batch["label"][0][inside].numpy()
         frames[batch["id"][0]] = confusion_matrix(label, guess, scores.shape[1])
         if folder is not None:
+            png = cv2.imencode(".png", guess)[1].tobytes()
             path = folder / f"{batch['id'][0]}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(path), guess)
+            write_whole(path, png, Path(data.store.path), overwrite=True)
     return Evaluation(data.store.classes, split, frames)
+
+
+def folder_of(options: argparse.Namespace) -> Path:
+    """Return the folder of a run."""
+    return options.out / (options.setup + ("-fusion" if options.fusion else ""))
+
+
+def check_place(options: argparse.Namespace) -> None:
+    """Refuse, before anything is trained, a folder that must not be written to, or not unasked."""
+    out = folder_of(options)
+    check_file(out / CHECKPOINT, options.store, overwrite=True)
+    for split in ("val", "test"):
+        refuse_inside(out / "predictions" / split / "any", options.store)
+    asked = options.overwrite or (options.resume and (out / CHECKPOINT).exists())
+    with told(out, LayoutError):
+        names = [] if asked or not out.exists() else [path.name for path in out.iterdir()]
+    # What a kill left that is not whole is no run.
+    if found := min((name for name in names if not name.endswith(PARTIAL)), default=None):
+        advice = "--overwrite or another --out" if options.resume else "--resume or --overwrite"
+        raise LayoutError(
+            f"{out}: expected a new or empty folder for the run, found {found!r} in it; "
+            f"give {advice}"
+        )
 
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
@@ -160,13 +191,15 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, options.epochs)
     state: dict[str, Any] = {"epoch": 0, "losses": []}
-    out = options.out / (options.setup + ("-fusion" if options.fusion else ""))
+    out = folder_of(options)
     parts = {"model": model, "optimizer": optimizer, "schedule": schedule}
-    if options.resume and (out / "checkpoint.pt").exists():
-        state = torch.load(out / "checkpoint.pt", map_location=device, weights_only=True)
+    if options.resume and (out / CHECKPOINT).exists():
+        state = torch.load(out / CHECKPOINT, map_location=device, weights_only=True)
         for name, part in parts.items():
             part.load_state_dict(state[name])
-    out.mkdir(parents=True, exist_ok=True)
+    if options.overwrite:
+        # Cut short before its first epoch ends, this run must not be gone on with as that one.
+        (out / CHECKPOINT).unlink(missing_ok=True)
     first = state["epoch"]
     with tqdm(
         total=options.epochs * len(loader), initial=first * len(loader), desc=printable(out.name)
@@ -180,8 +213,9 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
             bar.scores = {"IoU": f"{mean['iou']:.3f}"}
             state = {"epoch": epoch + 1, "losses": losses}
             state |= {name: part.state_dict() for name, part in parts.items()}
-            torch.save(state, out / "checkpoint.tmp")
-            (out / "checkpoint.tmp").replace(out / "checkpoint.pt")  # whole, or not at all
+            saved = io.BytesIO()
+            torch.save(state, saved)
+            write_whole(out / CHECKPOINT, saved.getvalue(), options.store, overwrite=True)
     scores = {
         split: score(model, frames, split, out / "predictions" / split)
         for split, frames in evaluated.items()
@@ -223,17 +257,25 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
     parser.add_argument("--crop", type=int, nargs=2, default=(288, 384), metavar=("H", "W"))
     parser.add_argument("--lr", type=float, default=3e-3)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    there = parser.add_mutually_exclusive_group()
+    there.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    there.add_argument("--overwrite", action="store_true", help="begin anew where a run is")
     options = parser.parse_args(arguments)
     names = [options.setup]
     if options.setups:
         served = {*nimprep.open_store(options.store).modalities, "normal"}
         names = [name for name, parts in SETUPS.items() if served.issuperset(parts)]
         names = [name for name in names if len(SETUPS[name]) == 2 or not options.fusion]
-    results = [run(argparse.Namespace(**{**vars(options), "setup": name})) for name in names]
+    runs = [argparse.Namespace(**{**vars(options), "setup": name}) for name in names]
+    for one in runs:
+        check_place(one)
+    results = [run(one) for one in runs]
     print_table(results)
     return results
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except NimprepError as error:
+        sys.exit(f"error: {printable(str(error))}")

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
+import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -11,6 +15,7 @@ from click.testing import CliRunner
 
 import nimprep
 from nimprep.cli import main
+from nimprep.errors import LayoutError
 from nimprep.synthetic import write_synthetic
 from tests.conftest import PROJECT
 from tests.fakes import NYU_LIKE, depth_image, write_png
@@ -93,6 +98,81 @@ def test_a_run_that_was_cut_short_goes_on_to_the_same_result(train, store, tmp_p
     assert same(resumed, whole)
     (other,) = run(train, store, tmp_path / "other", "--seed", 1)
     assert not same(other, whole)
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def no_training(*_):
+    raise AssertionError("expected the place to be refused before anything is trained")
+
+
+@pytest.fixture(scope="module")
+def finished(train, store, tmp_path_factory):
+    """Return a folder with a run of one epoch."""
+    out = tmp_path_factory.mktemp("finished")
+    run(train, store, out, epochs=1)
+    return out
+
+
+@pytest.mark.parametrize("left", ["checkpoint.pt", "predictions/test", "notes.txt"])
+@pytest.mark.parametrize("more", [(), ("--setups", "all")])
+def test_a_run_that_is_there_is_not_touched_unasked(
+    train, store, finished, tmp_path, monkeypatch, left, more
+):
+    folder = tmp_path / "nim-rgb+d"
+    shutil.copytree(finished / "nim-rgb+d", folder)
+    (folder / "notes.txt").write_text("the good one")
+    for name in {"checkpoint.pt", "predictions", "notes.txt"} - {left.split("/")[0]}:
+        shutil.rmtree(folder / name) if name == "predictions" else (folder / name).unlink()
+    before = contents(tmp_path)
+    monkeypatch.setattr(train, "train_epoch", no_training)
+    with pytest.raises(LayoutError, match=r"found '.*' in it; give --resume or --overwrite$"):
+        run(train, store, tmp_path, *more)
+    assert contents(tmp_path) == before
+
+
+def test_a_run_is_replaced_where_that_is_asked_for(train, store, finished, tmp_path):
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    before = contents(tmp_path / "nim-rgb+d")
+    run(train, store, tmp_path, "--overwrite", "--seed", 1, epochs=1)
+    after = contents(tmp_path / "nim-rgb+d")
+    assert after.keys() == before.keys()
+    assert after != before
+
+
+def test_only_a_checkpoint_can_be_gone_on_from(train, store, finished, tmp_path, monkeypatch):
+    shutil.copytree(finished / "nim-rgb+d" / "predictions", tmp_path / "nim-rgb+d" / "predictions")
+    before = contents(tmp_path)
+    monkeypatch.setattr(train, "train_epoch", no_training)
+    with pytest.raises(LayoutError, match="'predictions' in it; give --overwrite or another --out"):
+        run(train, store, tmp_path, "--resume")
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("asked", [(), ("--resume",), ("--overwrite",)])
+@pytest.mark.parametrize("way", ["itself", "its folder", "a link", "a link below"])
+def test_nothing_is_written_into_a_store(train, store, tmp_path, monkeypatch, way, asked):
+    ours = shutil.copytree(store, tmp_path / "s.zarr")
+    before = contents(ours)
+    out = {"itself": ours, "its folder": ours / "rgb"}.get(way, tmp_path / "out")
+    if way == "a link":
+        out.symlink_to(ours)
+    if way == "a link below":
+        (out / "nim-rgb+d" / "predictions").mkdir(parents=True)
+        (out / "nim-rgb+d" / "predictions" / "test").symlink_to(ours)
+    monkeypatch.setattr(train, "train_epoch", no_training)
+    with pytest.raises(LayoutError, match="expected a place outside"):
+        run(train, store, out, *asked)
+    assert contents(ours) == before
+
+
+def test_a_refusal_is_one_line_and_no_success(store, finished):
+    script = [sys.executable, PROJECT / "scripts" / "train.py", store, "--out", finished]
+    told = subprocess.run(script, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stdout) == (1, "")
+    assert re.fullmatch(r"error: .*; give --resume or --overwrite\n", told.stderr)
 
 
 def test_every_setup_and_every_fusion_has_its_row(train, store, tmp_path, capsys):
