@@ -167,7 +167,7 @@ def join_shards(
 def _checksums_of(writer: StoreWriter, key: str, frames: int) -> list[int]:
     """Return what each chunk of a shard that was linked ends with."""
     length = writer.layout.shard_length
-    index = read_index(Path(str(writer.storage)) / key, length)
+    index = read_index(writer.storage, key, length)
     found = read_checksums(writer.storage, key, index, frames)
     there = [checksum for checksum in found if checksum is not None]
     if len(there) < frames:

@@ -6,7 +6,6 @@ import math
 import os
 from concurrent.futures import Future
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,16 +20,13 @@ from nimprep.store.image_layout import layout_problems
 from nimprep.store.metadata import ROOT, read_document
 from nimprep.store.shards import (
     MISSING,
-    check_chunk,
-    chunk_span,
     decode_chunk,
-    parse_index,
     read_checksums,
     read_chunk,
     read_index,
 )
 from nimprep.store.spec import image_spec
-from nimprep.store.storage import LocalStorage, Storage
+from nimprep.store.storage import Storage
 
 Index = npt.NDArray[np.uint64]
 """Of a shard: see `nimprep.store.shards.read_index`."""
@@ -96,7 +92,6 @@ class ImageArray:
         self.spec = spec = image_spec(modality, classes)
         self._storage = storage
         self._own = own
-        self._root = storage.root if isinstance(storage, LocalStorage) else None
         document = document or read_document(storage, f"{name}/{ROOT}")
         problems = layout_problems(document, spec)
         if problems:
@@ -104,7 +99,6 @@ class ImageArray:
         self.shape: tuple[int, ...] = tuple(document["shape"])
         self.dtype = np.dtype(document["data_type"])
         self.shard_length: int = document["chunk_grid"]["configuration"]["chunk_shape"][0]
-        self._shards: dict[int, tuple[Path, Index]] = {}
         self._indices: dict[int, Index] = {}
         self._asked: dict[tuple[int, int], Future[Index]] = {}
 
@@ -132,11 +126,7 @@ class ImageArray:
             The shard is missing, too short, or its index is damaged.
         """
         key = self.shard_key(shard)
-        if isinstance(self._storage, LocalStorage):
-            index = read_index(self._storage.locate(key), self.shard_length)
-        else:
-            data, size = self._storage.read_tail(key, 16 * self.shard_length + 4)
-            index = parse_index(data, self.shard_length, size, f"{self._storage}/{key}")
+        index = read_index(self._storage, key, self.shard_length)
         largest = math.prod(self.shape[1:]) * self.dtype.itemsize + _CHUNK_OVERHEAD
         if (index[index[:, 0] != MISSING, 1] > largest).any():
             raise StoreError(
@@ -153,12 +143,8 @@ class ImageArray:
             It is damaged, or not the one that the store's tables go with.
         """
         shard, position = divmod(index, self.shard_length)
-        if self._root is None:
-            packed = self._requested(shard, position)
-        else:
-            if shard not in self._shards:
-                self._shards[shard] = self._root / self.shard_key(shard), self.read_index(shard)
-            packed = read_chunk(*self._shards[shard], position)
+        entries = self._index_once(shard)
+        packed = read_chunk(self._storage, self.shard_key(shard), entries, position)
         if self._own is not None:
             found = None if packed is None else packed[-4:].tobytes()
             if found != self._own.of_frame(index):
@@ -202,18 +188,6 @@ class ImageArray:
             found = None if checksum is None else checksum.to_bytes(4, "little")
             if found != self._own.of_frame(frame):
                 raise StoreError(self._foreign(frame, found))
-
-    def _requested(self, shard: int, position: int) -> npt.NDArray[np.uint8] | None:
-        """Return a chunk by one request, after one for the index at the first of a shard."""
-        span = chunk_span(self._index_once(shard), position)
-        if span is None:
-            return None
-        offset, length = span
-        found = self._storage.read_range(self.shard_key(shard), offset, length)
-        data = empty((length,), np.uint8)
-        data[:] = np.frombuffer(found, dtype=np.uint8)
-        check_chunk(data, len(found), position, f"{self._storage}/{self.shard_key(shard)}")
-        return data
 
     def _index_once(self, shard: int) -> Index:
         """Return a shard's index; of several threads that need it one asks, and the others wait."""

@@ -14,6 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
+
 from nimprep.errors import StoreError
 from nimprep.store.connection import connect, live, requesting
 from nimprep.store.location import location_from
@@ -26,7 +29,7 @@ PART_BYTES = 5 << 20
 """A larger object goes up in parts of this size, each of them retried by itself."""
 
 PARALLEL = 16
-"""Requests made at once where several are needed."""
+"""Requests made at once: one takes longer than what is done with the answer."""
 
 READ_ALONG = 1 << 20
 """Bytes between two places that come along with both, which takes no longer than a request more."""
@@ -59,6 +62,9 @@ class ObjectStorage:
     StoreError
         The URL is of no kind that can be reached, or the extra `cloud` is missing.
     """
+
+    root = None
+    parallel = PARALLEL
 
     def __init__(self, url: str, **options: Any) -> None:
         from importlib.util import find_spec
@@ -171,6 +177,11 @@ class ObjectStorage:
         # Not obstore's own `get_ranges`, which panics where a server answers with less.
         with ThreadPoolExecutor(PARALLEL) as pool:
             return [part for parts in pool.map(read, _runs(spans)) for part in parts]
+
+    def read_into(self, key: str, offset: int, out: npt.NDArray[np.uint8]) -> int:
+        """Copy bytes from within an object. One request."""
+        out[:] = np.frombuffer(self.read_range(key, offset, len(out)), np.uint8)
+        return len(out)
 
     @requesting
     def write(self, key: str, parts: Sequence[bytes]) -> None:

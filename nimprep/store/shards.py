@@ -10,10 +10,8 @@ Source: Zarr v3 specification, sharding-indexed and crc32c codecs, version 1.0.
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import google_crc32c
@@ -22,7 +20,6 @@ import numpy.typing as npt
 from numcodecs import blosc
 
 from nimprep.errors import StoreError
-from nimprep.files import open_plain
 from nimprep.store.buffers import empty
 from nimprep.store.checksums import MEND
 from nimprep.store.spec import ChunkCodec
@@ -80,19 +77,16 @@ def index_size(capacity: int) -> int:
     return 16 * capacity + 4
 
 
-def read_index(path: Path, capacity: int) -> npt.NDArray[np.uint64]:
+def read_index(storage: Storage, key: str, capacity: int) -> npt.NDArray[np.uint64]:
     """Return a shard's index, (capacity, 2) uint64: offset and length of each chunk.
 
     Raises
     ------
     StoreError
-        The file is missing, too short, or its index is damaged.
+        The shard is missing, too short, or its index is damaged.
     """
-    size = index_size(capacity)
-    with open_plain(path, "a shard", StoreError) as (file, end):
-        file.seek(max(0, end - size))
-        data = file.read(size)
-    return parse_index(data, capacity, end, str(path))
+    data, end = storage.read_tail(key, index_size(capacity))
+    return parse_index(data, capacity, end, f"{storage}/{key}")
 
 
 def parse_index(data: bytes, capacity: int, end: int, where: str) -> npt.NDArray[np.uint64]:
@@ -149,7 +143,7 @@ def read_checksums(
     StoreError
         The shard is gone, cut short, or has a chunk too short for a checksum.
     """
-    spans = [chunk_span(index, position) for position in range(frames)]
+    spans = [_span(index, position) for position in range(frames)]
     short = next((n for n, span in enumerate(spans) if span is not None and span[1] < 4), None)
     if short is not None:
         raise StoreError(
@@ -161,7 +155,7 @@ def read_checksums(
 
 
 def read_chunk(
-    path: Path, index: npt.NDArray[np.uint64], position: int
+    storage: Storage, key: str, index: npt.NDArray[np.uint64], position: int
 ) -> npt.NDArray[np.uint8] | None:
     """Return the checked, still compressed bytes of one chunk, its checksum at the end.
 
@@ -170,41 +164,29 @@ def read_chunk(
     Raises
     ------
     StoreError
-        The file is gone, cut short, or the chunk's checksum does not fit.
+        The shard is gone, cut short, or the chunk's checksum does not fit.
     """
-    span = chunk_span(index, position)
+    span = _span(index, position)
     if span is None:
         return None
     offset, length = span
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            data = empty((length,), np.uint8)
-            found = os.preadv(descriptor, [data.data], offset)
-        finally:
-            os.close(descriptor)
-    except OSError as error:
-        raise StoreError(f"{path}: expected a shard, found {error.strerror}; {MEND}") from error
-    check_chunk(data, found, position, path)
-    return data
-
-
-def chunk_span(index: npt.NDArray[np.uint64], position: int) -> tuple[int, int] | None:
-    """Return a chunk's offset and length in its shard; None where it is all fill value."""
-    offset, length = int(index[position, 0]), int(index[position, 1])
-    return None if offset == MISSING else (offset, length)
-
-
-def check_chunk(data: npt.NDArray[np.uint8], found: int, position: int, where: object) -> None:
-    """Raise `StoreError` unless all of a chunk's bytes were found, and their checksum fits."""
-    if found != len(data) or found < 4:
+    data = empty((length,), np.uint8)
+    found = storage.read_into(key, offset, data)
+    if found != length or found < 4:
         raise StoreError(
-            f"{where}: expected {len(data)} bytes of chunk {position}, found {found}; {MEND}"
+            f"{storage}/{key}: expected {length} bytes of chunk {position}, found {found}; {MEND}"
         )
     if google_crc32c.value(data) != _CRC_RESIDUE:
         raise StoreError(
-            f"{where}: expected chunk {position} undamaged, found a wrong checksum; {MEND}"
+            f"{storage}/{key}: expected chunk {position} undamaged, found a wrong checksum; {MEND}"
         )
+    return data
+
+
+def _span(index: npt.NDArray[np.uint64], position: int) -> tuple[int, int] | None:
+    """Return a chunk's offset and length in its shard; None where it is all fill value."""
+    offset, length = int(index[position, 0]), int(index[position, 1])
+    return None if offset == MISSING else (offset, length)
 
 
 def decode_chunk(packed: npt.NDArray[np.uint8] | bytes, out: npt.NDArray[Any], where: str) -> None:

@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, runtime_checkable
 
+import numpy as np
+import numpy.typing as npt
+
 from nimprep.errors import StoreError
 from nimprep.files import open_plain, read_file, replace_file
 from nimprep.store.checksums import MEND
@@ -20,7 +23,20 @@ class Storage(Protocol):
 
     What is written is whole or absent, and stays once `write` returns. Errors are `StoreError`s
     that name the key.
+
+    Attributes
+    ----------
+    root : Path, optional
+        The folder with the files; None = they are in none.
+    parallel : int
+        How many reads at once are worth while, however few the cores.
     """
+
+    @property
+    def root(self) -> Path | None: ...
+
+    @property
+    def parallel(self) -> int: ...
 
     def read(self, key: str, limit: int | None = None) -> bytes | None:
         """Return what is kept under a key; None = nothing. More than `limit` bytes are an error."""
@@ -40,6 +56,13 @@ class Storage(Protocol):
 
     def read_ranges(self, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return what `read_range` returns, for several offsets and lengths in rising order."""
+        ...
+
+    def read_into(self, key: str, offset: int, out: npt.NDArray[np.uint8]) -> int:
+        """Read as many bytes as `out` has into it; return how many were there.
+
+        Fast, and without a look at where the key leads: `read_tail` has been asked for it before.
+        """
         ...
 
     def write(self, key: str, parts: Sequence[bytes]) -> None:
@@ -100,6 +123,8 @@ class LocalStorage:
     from somebody else must not make its reader read, or write, other files of his.
     """
 
+    parallel = 1
+
     def __init__(self, root: Path) -> None:
         self.root = root
 
@@ -144,7 +169,7 @@ class LocalStorage:
 
     def read_tail(self, key: str, length: int) -> tuple[bytes, int]:
         """Return a file's last bytes, and its size."""
-        with open_plain(self.locate(key), error=StoreError) as (file, size):
+        with open_plain(self.locate(key), "a shard", StoreError) as (file, size):
             start = max(0, size - length)
             return _read_part(file, start, size - start, f"{self}/{key}"), size
 
@@ -156,6 +181,18 @@ class LocalStorage:
         """Return bytes from several places within a file."""
         with open_plain(self.locate(key), error=StoreError) as (file, _):
             return [_read_part(file, *span, f"{self}/{key}") for span in spans]
+
+    def read_into(self, key: str, offset: int, out: npt.NDArray[np.uint8]) -> int:
+        """Read bytes from within a file straight to where they are to be."""
+        path = f"{self.root}/{key}"
+        try:
+            descriptor = os.open(path, os.O_RDONLY)
+            try:
+                return os.preadv(descriptor, [out.data], offset)
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            raise StoreError(f"{path}: expected a shard, found {error.strerror}; {MEND}") from error
 
     def write(self, key: str, parts: Sequence[bytes]) -> None:
         """Write a file beside its place, then move it there."""

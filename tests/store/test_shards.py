@@ -6,6 +6,7 @@ import pytest
 from nimprep.errors import StoreError
 from nimprep.store.shards import decode_chunk, encode_chunk, encode_shard, read_chunk, read_index
 from nimprep.store.spec import PRESETS, chunk_codec
+from nimprep.store.storage import LocalStorage
 
 
 def shard_file(folder: Path, images: list[np.ndarray], capacity: int) -> Path:
@@ -15,10 +16,10 @@ def shard_file(folder: Path, images: list[np.ndarray], capacity: int) -> Path:
     return path
 
 
-def read_all(path: Path) -> None:
-    index = read_index(path, 4)
+def read_all(tmp_path: Path) -> None:
+    index = read_index(LocalStorage(tmp_path), "shard", 4)
     for position in range(3):
-        read_chunk(path, index, position)
+        read_chunk(LocalStorage(tmp_path), "shard", index, position)
 
 
 def images(dtype: str) -> list[np.ndarray]:
@@ -36,15 +37,15 @@ def test_a_chunk_decodes_to_the_image_it_was(preset: str, dtype: str) -> None:
 
 
 def test_every_chunk_of_a_shard_is_found_and_the_rest_is_missing(tmp_path: Path) -> None:
-    path = shard_file(tmp_path, images("uint16"), capacity=5)
-    index = read_index(path, 5)
+    shard_file(tmp_path, images("uint16"), capacity=5)
+    index = read_index(LocalStorage(tmp_path), "shard", 5)
     for position, image in enumerate(images("uint16")):
-        packed = read_chunk(path, index, position)
+        packed = read_chunk(LocalStorage(tmp_path), "shard", index, position)
         assert packed is not None
         out = np.empty_like(image)
         decode_chunk(packed, out, "here")
         assert np.array_equal(out, image)
-    assert read_chunk(path, index, 3) is None
+    assert read_chunk(LocalStorage(tmp_path), "shard", index, 3) is None
 
 
 def test_every_single_flipped_byte_of_a_shard_is_an_error(tmp_path: Path) -> None:
@@ -55,7 +56,7 @@ def test_every_single_flipped_byte_of_a_shard_is_an_error(tmp_path: Path) -> Non
         damaged[place] ^= 0x10
         path.write_bytes(damaged)
         with pytest.raises(StoreError, match="found a wrong checksum"):
-            read_all(path)
+            read_all(tmp_path)
 
 
 @pytest.mark.parametrize("keep", [0, 10, 60])
@@ -63,12 +64,12 @@ def test_a_shard_cut_short_is_an_error(tmp_path: Path, keep: int) -> None:
     path = shard_file(tmp_path, images("uint8"), capacity=4)
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(StoreError):
-        read_index(path, 4)
+        read_index(LocalStorage(tmp_path), "shard", 4)
 
 
 def test_a_missing_shard_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="No such file"):
-        read_index(tmp_path / "none", 4)
+        read_index(LocalStorage(tmp_path), "none", 4)
 
 
 def test_a_chunk_of_another_size_never_reaches_the_decoder() -> None:
