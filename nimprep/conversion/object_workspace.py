@@ -93,7 +93,7 @@ def workspace_at(
     storage: LocalStorage | ObjectStorage, *, overwrite: bool
 ) -> AbstractContextManager[Workspace]:
     """Return the context of a place to convert in, wherever the target is."""
-    if isinstance(storage, LocalStorage):
+    if storage.root is not None:
         return open_workspace(storage.root, overwrite=overwrite)
     return open_object_workspace(storage, overwrite=overwrite)
 

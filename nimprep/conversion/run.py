@@ -32,7 +32,7 @@ from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
 from nimprep.store.access import storage_from
 from nimprep.store.location import is_url
 from nimprep.store.reader import Store, open_store
-from nimprep.store.storage import LocalStorage, Storage
+from nimprep.store.storage import Storage
 from nimprep.store.writer import StoreWriter
 
 
@@ -82,7 +82,7 @@ def convert(
     if is_url(source):
         raise LayoutError(f"{source}: expected a folder to read, local or mounted, found a URL")
     source, storage = Path(source), storage_from(target)
-    if isinstance(storage, LocalStorage):
+    if storage.root is not None:
         check_apart(source, storage.root)
     start = progress or no_progress
     if options.scheduler is not None:

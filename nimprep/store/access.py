@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from nimprep.store.location import location_from
 from nimprep.store.storage import LocalStorage, Storage
@@ -21,12 +21,11 @@ def storage_from(place: Path | str | os.PathLike[str] | Storage) -> LocalStorage
     StoreError
         It is a URL that cannot be read, or the extra `cloud` is missing.
     """
-    if isinstance(place, LocalStorage):
-        return place
-    if isinstance(place, (str, os.PathLike)):
-        place = location_from(place)
-        if isinstance(place, Path):
-            return LocalStorage(place)
+    if not isinstance(place, (str, os.PathLike)):
+        return cast("LocalStorage | ObjectStorage", place)  # there are these two
+    place = location_from(place)
+    if isinstance(place, Path):
+        return LocalStorage(place)
     from nimprep.store.objects import ObjectStorage
 
-    return place if isinstance(place, ObjectStorage) else ObjectStorage(str(place))
+    return ObjectStorage(place)

@@ -110,10 +110,8 @@ def check_replaceable(storage: Storage) -> None:
         It would.
     """
     arrays = own_arrays(read_document(storage, ROOT)["attributes"]["nimprep"])
-    if isinstance(storage, LocalStorage):
-        keys = extra_paths(storage.root, arrays)
-    else:
-        keys = extra_keys(storage.keys(), arrays)
+    root = storage.root
+    keys = extra_paths(root, arrays) if root else extra_keys(storage.keys(), arrays)
     found = [*map(repr, keys), *_extra_attributes(storage)]
     if found:
         more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""

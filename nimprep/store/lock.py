@@ -52,7 +52,7 @@ def changing(place: Place | Storage) -> Iterator[LocalStorage | ObjectStorage]:
     storage = storage_from(place)
     # First of all, so that nothing is made beside what is no store.
     read_attributes(storage)
-    if isinstance(storage, LocalStorage):
+    if storage.root is not None:
         root = storage.root
         # Whoever comes by another name, a link, must find the same lock.
         with locked_folder(root.resolve() if root.is_symlink() else root):

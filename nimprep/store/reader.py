@@ -20,10 +20,10 @@ from nimprep.store.connection import RequestError
 from nimprep.store.frame_tables import read_tables
 from nimprep.store.frames import StoredFrame, check_size
 from nimprep.store.images import ImageArray, OwnChunks
-from nimprep.store.location import Place, location_from
+from nimprep.store.location import Place
 from nimprep.store.metadata import ROOT, consolidated, root_from
 from nimprep.store.spec import stored_modalities
-from nimprep.store.storage import LocalStorage, Storage
+from nimprep.store.storage import Storage
 
 _TRIES = 5
 """Times that a store is opened which is replaced each time while it is being opened."""
@@ -57,7 +57,7 @@ class Store:
 
     def __init__(self, place: Place | Storage, modalities: Collection[str] | None = None) -> None:
         storage = self.storage = storage_from(place)
-        self.path: Place = storage.root if isinstance(storage, LocalStorage) else str(storage)
+        self.path: Place = storage.root or str(storage)
         before = storage.read(ROOT, MAX_BYTES)
         for _ in range(_TRIES):
             failure = None
@@ -85,7 +85,7 @@ class Store:
     def _open(self, root: dict[str, Any], modalities: Collection[str] | None) -> None:
         storage, path = self.storage, self.path
         # One request in place of one per array; `validate` compares them with the arrays' own.
-        copies = {} if isinstance(storage, LocalStorage) else consolidated(root)
+        copies = {} if storage.root else consolidated(root)
         attributes: dict[str, Any] = root["attributes"]["nimprep"]
         check_json(attributes, "store", f"{path}: attributes", StoreError)
         if problem := digest_problem(attributes):
@@ -200,4 +200,4 @@ def open_store(path: Place | Storage, modalities: Collection[str] | None = None)
     StoreError
         There is no store, it is not complete, of a newer format, or damaged.
     """
-    return Store(path if isinstance(path, Storage) else location_from(path), modalities)
+    return Store(path, modalities)

@@ -14,13 +14,9 @@ from torch import Tensor
 
 from nimprep.errors import ArrayError
 from nimprep.parallel import available_cores, in_order, threads_for
-from nimprep.store.storage import LocalStorage
 from nimprep.torch.collation import Batch, collate
 from nimprep.torch.dataset import StoreDataset
 from nimprep.torch.ranks import part_of, ranks
-
-WAITING = 16
-"""Threads that read from an object store: a request takes longer than what is done with it."""
 
 
 class _Pending:
@@ -49,11 +45,6 @@ def _pinned(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_pinned(part) for part in value)
     return value.pin_memory() if isinstance(value, Tensor) else value
-
-
-def _default_threads(dataset: StoreDataset) -> int:
-    local = isinstance(dataset.store.storage, LocalStorage)
-    return available_cores() if local else max(available_cores(), WAITING)
 
 
 def _as(dataset: StoreDataset, dtype: Literal["float32", "stored"]) -> StoreDataset:
@@ -133,7 +124,9 @@ class StoreLoader:
         dtype: Literal["float32", "stored"] | None = None,
         distributed: bool = True,
     ) -> None:
-        threads = _default_threads(dataset) if num_threads is None else num_threads
+        threads = num_threads
+        if threads is None:
+            threads = max(available_cores(), dataset.store.storage.parallel)
         for name, number in (
             ("batch_size", batch_size),
             ("num_threads", threads),
