@@ -10,6 +10,9 @@ import click
 from nimprep.cli.echo import echo
 from nimprep.cli.options import json_option, progress_bars, quiet_option
 
+_NAMED = 10
+"""So much that is not nimprep's is named; of the rest the number is given."""
+
 
 @click.command()
 @click.argument("store", type=click.Path())
@@ -40,6 +43,10 @@ def validate(store: str, deep: bool, as_json: bool, quiet: bool) -> None:
     else:
         for problem in report.problems:
             echo(f"{store}: {problem}")
+    if report.extras and not as_json:
+        more = len(report.extras) - _NAMED
+        named = ", ".join(report.extras[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+        echo(f"{store}: not nimprep's, and not checked: {named}")
     if not report.valid:
         echo(
             f"error: {store}: expected a valid store, found it is not "

@@ -75,7 +75,7 @@ def extra_paths(folder: Path, arrays: Collection[str]) -> list[str]:
     return sorted(found)
 
 
-def _extra_attributes(storage: Storage) -> list[str]:
+def extra_attributes(storage: Storage) -> list[str]:
     """Return what stands in a store's documents that nimprep did not write, for a message.
 
     A document that is damaged has nothing that could be kept.
@@ -112,7 +112,7 @@ def check_replaceable(storage: Storage) -> None:
     arrays = own_arrays(read_document(storage, ROOT)["attributes"]["nimprep"])
     root = storage.root
     keys = extra_paths(root, arrays) if root else extra_keys(storage.keys(), arrays)
-    found = [*map(repr, keys), *_extra_attributes(storage)]
+    found = [*map(repr, keys), *extra_attributes(storage)]
     if found:
         more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
         raise StoreError(

@@ -26,6 +26,8 @@ class Report:
         One line each, naming array and frame; empty = the store is valid.
     checks : dict of str to int
         What was checked, and how many of it.
+    extras : list of str
+        What lies in the store, or stands in its documents, that is somebody's own; not checked.
     """
 
     path: str
@@ -33,6 +35,7 @@ class Report:
     frames: int = 0
     problems: list[str] = field(default_factory=list)
     checks: dict[str, int] = field(default_factory=dict)
+    extras: list[str] = field(default_factory=list)
 
     @property
     def valid(self) -> bool:
@@ -63,4 +66,5 @@ class Report:
             "frames": self.frames,
             "checks": self.checks,
             "problems": self.problems,
+            "extras": self.extras,
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from contextlib import closing
 from functools import partial
 from typing import Any
@@ -13,10 +14,12 @@ import numpy as np
 from nimprep.camera import MAX_BASELINE_M, Camera
 from nimprep.derive.recipe import recipe_from
 from nimprep.errors import NimprepError, StoreError
+from nimprep.modality import MODALITIES
 from nimprep.parallel import Progress, map_in_order
 from nimprep.schema import MAX_BYTES, schema_problems
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.access import storage_from
+from nimprep.store.extras import extra_attributes, extra_paths, own_arrays
 from nimprep.store.image_layout import layout_problems
 from nimprep.store.images import ImageArray
 from nimprep.store.location import Place
@@ -30,6 +33,9 @@ from nimprep.store.table_specs import table_specs
 from nimprep.store.tables import check_table
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+
+_NO_NAME = re.compile(r"\.*|__.*", re.DOTALL)
+"""What the Zarr v3 specification lets no node be called; with a slash it is several names."""
 
 _AT_ONCE = 8
 """Shards whose indices are asked for at once: each takes its time over a network."""
@@ -112,7 +118,11 @@ def _first_line(error: Exception) -> str:
 
 
 def check_consolidated(store: Store, report: Report) -> None:
-    """Check that the root's copy of the arrays' metadata, which xarray reads, says the same."""
+    """Check that the root's copy of the arrays' metadata, which xarray reads, says the same.
+
+    What others put into the store is theirs, and named; no array must be gone, nor one there of
+    nimprep's that the root does not speak of.
+    """
     root = read_document(store.storage, ROOT)
     copies = consolidated(root)
     if root.get("node_type") != "group":
@@ -120,17 +130,52 @@ def check_consolidated(store: Store, report: Report) -> None:
     expected = {*store.modalities, *_tables(store)}
     # Where folders cannot be listed, what the copies name is asked for.
     plain = {name for name in copies if _PLAIN_NAME.fullmatch(name)}
-    names = sorted(expected | plain | set(store.storage.folders()))
-    if plain != copies.keys():
+    folders = store.storage.folders()
+    names = sorted({*expected, *plain, *folders})
+    if any(_NO_NAME.fullmatch(part) for name in copies for part in name.split("/")):
         report.add(f"{ROOT}: expected metadata of arrays, found a name that can be none's")
     found = store.storage.read_many([f"{name}/{ROOT}" for name in names], MAX_BYTES)
     there = {name for name in names if found[f"{name}/{ROOT}"] is not None}
     newer = store.attributes["format_version"] not in KNOWN_VERSIONS
-    if expected - there if newer else there != expected:
+    alien = set() if newer else there & {*MODALITIES, *table_specs()} - expected
+    if expected - there or alien:
         report.add(f"arrays: expected {sorted(expected)}, found {sorted(there)}")
+    documents = {n: read_document(store.storage, f"{n}/{ROOT}") for n in sorted(there)}
     for name in sorted(there & expected):
-        if copies.get(name) != read_document(store.storage, f"{name}/{ROOT}"):
+        if copies.get(name) != documents[name]:
             report.add(f"{ROOT}: expected the metadata of {name!r} as in its own file, found other")
+    if not newer:
+        _check_extras(store, documents, expected, report)
+        report.extras += _extras(store, {*folders, *there} - expected)
+
+
+def _extras(store: Store, folders: Iterable[str]) -> list[str]:
+    """Return what lies in a store, or stands in its documents, that is somebody's own."""
+    keys = sorted(folders)
+    if root := store.storage.root:
+        keys = extra_paths(root, own_arrays(store.attributes))
+    return [*map(repr, keys), *extra_attributes(store.storage)]
+
+
+def _check_extras(
+    store: Store, documents: dict[str, dict[str, Any]], own: set[str], report: Report
+) -> None:
+    """Check that somebody's arrays let xarray open the store: a dimension has one length."""
+    lengths: dict[str, int] = {}
+    for name in sorted(documents, key=lambda n: n not in own):
+        dims, shape = (documents[name].get(key) for key in ("dimension_names", "shape"))
+        if not (isinstance(dims, list) and isinstance(shape, list)):
+            continue
+        for dim, length in zip(dims, shape, strict=False):
+            if (
+                isinstance(dim, str)
+                and lengths.setdefault(dim, length) != length
+                and name not in own
+            ):
+                report.add(
+                    f"{name}: expected {lengths[dim]} along {dim!r} as in {store.storage}, found "
+                    f"{length}: xarray would refuse the store; move that array elsewhere"
+                )
 
 
 def check_tables(store: Store, report: Report) -> None:

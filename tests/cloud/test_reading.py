@@ -189,10 +189,13 @@ def test_validate_sees_copies_of_metadata_that_differ_and_arrays_too_many(made: 
     storage = ObjectStorage(made)
     document = storage.read("depth/zarr.json")
     assert document is not None
+    storage.write("elevation/zarr.json", [document])
     storage.write("more/zarr.json", [document])
-    problems = " ".join(validate_store(made).problems)
+    report = validate_store(made)
+    problems = " ".join(report.problems)
     assert "expected the metadata of 'rgb' as in its own file" in problems
-    assert "'more'" in problems
+    assert "'elevation'" in problems
+    assert report.extras == ["'elevation'", "'more'"]
     assert "long_name = 'colour'" in problems
 
 

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import zarr
+from click.testing import CliRunner
 
 import nimprep
+from nimprep.cli import main
 from nimprep.schema import load_schema, schema_problems
 from nimprep.store.checksums import attributes_digest
 from nimprep.store.info import store_info
@@ -91,6 +93,12 @@ def edit_json(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[
     return apply
 
 
+def own_array(store: Path, shape: tuple[int, ...], dims: tuple[str, ...] | None) -> None:
+    """Put an array of somebody's own into a store."""
+    group = zarr.open_group(store, mode="r+")
+    group.create_array("weather", shape=shape, dtype="uint8", dimension_names=dims)
+
+
 def remove(name: str) -> Callable[[Path], None]:
     def apply(store: Path) -> None:
         path = store / name
@@ -128,9 +136,21 @@ SHALLOW = {
         ),
         "'depth' as in its own file",
     ),
-    "an array nobody speaks of": (
-        lambda store: shutil.copytree(store / "depth", store / "extra"),
-        "extra",
+    "an array of nimprep's that nobody speaks of": (
+        lambda store: shutil.copytree(store / "depth", store / "elevation"),
+        "elevation",
+    ),
+    "somebody's array of another number of frames": (
+        lambda store: own_array(store, (3,), ("frame",)),
+        "weather: expected 4 along 'frame'",
+    ),
+    "somebody's array of images of another size": (
+        lambda store: own_array(store, (4, 7), ("frame", "y")),
+        "along 'y'",
+    ),
+    "a copy of an array's metadata under a name that leads elsewhere": (
+        edit_json("", lambda d: d["consolidated_metadata"]["metadata"].update({"../x": {}})),
+        "a name that can be none's",
     ),
     "an unknown way of filling": (
         edit_json(
@@ -176,6 +196,56 @@ def test_validate_finds(store: Path, case: str) -> None:
     report = validate_store(store)
     assert not report.valid
     assert any(words in problem for problem in report.problems), report.problems
+
+
+def a_note(store: Path) -> None:
+    (store / "notes.txt").write_text("mine")
+    (store / "rgb" / "notes.txt").write_text("mine")
+
+
+def a_group(store: Path) -> None:
+    group = zarr.open_group(store, mode="r+").create_group("predictions")
+    group.create_array("ours", shape=(2, 3), dtype="uint8")
+
+
+def an_attribute(store: Path) -> None:
+    zarr.open_group(store, mode="r+").attrs["license"] = "CC-BY-4.0"
+    zarr.open_group(store, mode="r+", use_consolidated=False)["rgb"].attrs["comment"] = "mine"
+
+
+OWN = {
+    "notes": (a_note, ["'notes.txt'", "'rgb/notes.txt'"]),
+    "an array": (lambda store: own_array(store, (4,), ("frame",)), ["'weather'"]),
+    "an array without dimensions": (lambda store: own_array(store, (9,), None), ["'weather'"]),
+    "a group with an array": (a_group, ["'predictions'"]),
+    "attributes": (an_attribute, ["attribute 'comment' of 'rgb'", "attribute 'license'"]),
+}
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+@pytest.mark.filterwarnings("ignore:Object at")
+@pytest.mark.parametrize("consolidated", [False, True])
+@pytest.mark.parametrize("case", OWN)
+def test_what_somebody_put_into_a_store_is_named_and_no_fault(
+    store: Path, case: str, consolidated: bool
+) -> None:
+    put, names = OWN[case]
+    put(store)
+    if consolidated or case == "attributes":
+        zarr.consolidate_metadata(store)
+    report = validate_store(store, deep=True)
+    assert report.problems == []
+    assert report.extras == names
+    assert schema_problems(report.to_dict(), "validation") == []
+    told = CliRunner().invoke(main, ["validate", str(store)])
+    assert told.exit_code == 0
+    assert f"not nimprep's, and not checked: {', '.join(names)}\n" in told.stdout
+    assert validate_store(store, deep=True).extras == names
+
+
+def test_a_store_as_it_was_written_has_nothing_of_somebody_elses(store: Path) -> None:
+    assert validate_store(store).extras == []
+    assert "not checked" not in CliRunner().invoke(main, ["validate", str(store)]).stdout
 
 
 DEEP = {
