@@ -15,7 +15,7 @@ import numpy.typing as npt
 from nimprep import __version__
 from nimprep.conversion.compatibility import check_frames, options_like, padded_size
 from nimprep.conversion.job import Base
-from nimprep.conversion.journal import Journal
+from nimprep.conversion.journal import kept_journal
 from nimprep.conversion.plan import check_apart, fixed_splits, frame_metadata, local_folder
 from nimprep.conversion.provenance import (
     joined_fixed,
@@ -193,9 +193,8 @@ class _Append:
 
     def finished(self) -> Appended | None:
         """Return what an append of this very source did that was killed at its last step."""
-        journal = Journal(self._workspace.journal, str(self._store.path))
-        plan = journal.plan()
-        ours = plan["files"] if plan is not None else {}
+        kept = kept_journal(self._workspace.journal, str(self._store.path))
+        ours = {} if kept is None else kept.plan["files"]
         here = SubsetReader(self.reader, [i for i in self.reader.ids if i in ours])
         states = frame_states(here, skip_bad=self._options.on_error == "skip")
         known = self._existing | ours.keys()
@@ -224,9 +223,8 @@ class _Append:
             return self._appended(self._store)
         path, digest = Path(self._store.path), self._store.attributes["source"]["digest"]
         base = Base(len(self._store), *padded_size(self._store), digest)
-        journal = Journal(self._workspace.journal, str(path), base)
         reader = SubsetReader(self.reader, new)
-        run = Run(self._source, reader, self._convert, self._workspace, journal, base)
+        run = Run(self._source, reader, self._convert, self._workspace, str(path), base)
         run.prepare(start)
         run.encode(start)
         records, counts = run.whole()

@@ -8,7 +8,7 @@ import secrets
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep import __version__
-from nimprep.conversion.job import Base, units_of
+from nimprep.conversion.job import Base, Job, units_of
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import DEPTHS, UnitRecord, seal, unseal
 from nimprep.conversion.sources import FileState, changed_files
@@ -63,75 +63,44 @@ class LostRecordsError(StoreError):
     """What a unit's frames are is not known any more, and so no store can be made of them."""
 
 
-class Journal:
-    """Keep a plan and the records of the units done.
+class Unit(NamedTuple):
+    """Say which frames a unit has, and what tells its record from any other's."""
 
-    Parameters
+    ids: list[str]
+    plan: str
+
+
+@dataclass(frozen=True)
+class Journal:
+    """Keep a plan and the records of the units done: see `begin_journal` and `kept_journal`.
+
+    Attributes
     ----------
     storage : Storage
         A place of its own.
     where : str
         The target, for messages.
-    base : Base, optional
-        The store that frames are appended to.
+    plan : mapping
+        As JSON has it.
+    units : sequence of Unit
+        The plan's.
     """
 
-    def __init__(self, storage: Storage, where: str, base: Base | None = None) -> None:
-        self._storage = storage
-        self._where = where
-        self._base = None if base is None else asdict(base)
-        self._units: list[_Unit] = []
+    storage: Storage
+    where: str
+    plan: Mapping[str, Any]
+    units: Sequence[Unit]
 
-    def begin(
-        self,
-        options: ConvertOptions,
-        margins: Margins | None,
-        states: Mapping[str, tuple[FileState, ...]],
-        run: str | None = None,
-    ) -> None:
-        """Keep a conversion's plan.
-
-        Parameters
-        ----------
-        run : str, optional
-            The plan's that is gone on with; None = nothing that was done before counts, even where
-            it could not be removed.
-        """
-        plan = {
-            "tool_version": __version__,
-            "run": run or secrets.token_hex(8),
-            "options": option_values(options),
-            "margins": None if margins is None else asdict(margins),
-            "files": states,
-            "base": self._base,
-        }
-        data = seal(plan)
-        self._storage.write(PLAN, [data])
-        self._units = _units(unseal(data))
-
-    def plan(self) -> dict[str, Any] | None:
-        """Return the plan that is kept; None = none, or one that a fault of the disk spoilt."""
-        # An answer that was cut short may be whole the second time; all that was done hangs on it.
-        for _ in range(2):
-            data = self._storage.read(PLAN)
-            if data is None:
-                break
-            with suppress(ValueError, KeyError, TypeError):
-                plan = unseal(data)
-                self._units = _units(plan)
-                return plan
-        self._units = []
-        return None
-
-    def begun_margins(self, plan: Mapping[str, Any]) -> Margins | None:
-        """Return the margins that a plan cuts off."""
-        return None if plan["margins"] is None else Margins(**plan["margins"])
+    @property
+    def margins(self) -> Margins | None:
+        """The margins that the plan cuts off."""
+        return None if self.plan["margins"] is None else Margins(**self.plan["margins"])
 
     def check(
         self,
-        plan: Mapping[str, Any],
         options: ConvertOptions,
         states: Mapping[str, tuple[FileState, ...]],
+        base: Base | None,
     ) -> None:
         """Make sure that going on gives what one run would have given.
 
@@ -142,7 +111,7 @@ class Journal:
         StoreError
             The source, the options or the program are others than when the plan was made.
         """
-        changes = []
+        plan, changes = self.plan, []
         if plan["tool_version"] != __version__:
             changes.append(f"nimprep {plan['tool_version']} then and {__version__} now")
         now = option_values(options)
@@ -150,12 +119,12 @@ class Journal:
             before, after = plan["options"].get(name), now.get(name)
             if before != after:
                 changes.append(f"{name} {_shown(before)} then and {_shown(after)} now")
-        if plan.get("base") != self._base:
+        if plan.get("base") != _base(base):
             changes.append("another store to append to")
         changes += self._changed_frames(plan["files"], states)
         if changes:
             raise StoreError(
-                f"{self._where}: expected the source and options that its conversion was begun "
+                f"{self.where}: expected the source and options that its conversion was begun "
                 f"with, found {'; '.join(changes)}; give those again, or --restart to begin anew"
             )
 
@@ -183,21 +152,21 @@ class Journal:
         bad: set[str] = set()
         # Spoilt, it names nobody: then a mended file counts as changed, which is said.
         with suppress(ValueError, KeyError, TypeError):
-            bad = set(unseal(self._storage.read(_FAILED) or b"")["frames"])
+            bad = set(unseal(self.storage.read(_FAILED) or b"")["frames"])
         return bad | {s.id for record in self.records().values() for s in record.skipped}
 
     def note_failure(self, frame_id: str) -> None:
         """Remember a frame that ended the conversion."""
-        self._storage.write(_FAILED, [seal({"frames": [frame_id]})])
+        self.storage.write(_FAILED, [seal({"frames": [frame_id]})])
 
     def record(self, unit: UnitRecord) -> None:
         """Keep a unit's record; its shards must have been written by now."""
-        plan = self._units[unit.number].plan
-        self._storage.write(_unit_key(unit.number), [unit.to_json(plan)])
+        plan = self.units[unit.number].plan
+        self.storage.write(_unit_key(unit.number), [unit.to_json(plan)])
 
     def forget(self, number: int) -> None:
         """Let a unit count as not done."""
-        self._storage.remove(_unit_key(number))
+        self.storage.remove(_unit_key(number))
 
     def records(self) -> dict[int, UnitRecord]:
         """Return the records kept, by the unit's number; what cannot be read is not done.
@@ -209,7 +178,7 @@ class Journal:
     def missing(self) -> list[int]:
         """Return the numbers of the plan's units that are not done."""
         done = self.records()
-        return [number for number in range(len(self._units)) if number not in done]
+        return [number for number in range(len(self.units)) if number not in done]
 
     def whole(self) -> tuple[list[UnitRecord], npt.NDArray[np.int64]]:
         """Return the records of all of the plan's units, in order, and their histograms' sum.
@@ -224,39 +193,75 @@ class Journal:
         for record in self._read():
             records[record.number] = record.without_counts()
             total += record.depth_counts
-        lost = [number for number in range(len(self._units)) if number not in records]
-        if lost or not self._units:
+        lost = [number for number in range(len(self.units)) if number not in records]
+        if lost or not self.units:
             raise LostRecordsError(
-                f"{self._where}: expected a whole record of each of {len(self._units)} units, "
+                f"{self.where}: expected a whole record of each of {len(self.units)} units, "
                 f"found those of {lost} lost or damaged; the same command makes them again"
             )
-        return [records[number] for number in range(len(self._units))], total
+        return [records[number] for number in range(len(self.units))], total
 
     def _read(self) -> Iterator[UnitRecord]:
         """Yield the units' records that are whole, asked for by number: no listing is relied on."""
-        for first in range(0, len(self._units), _AT_ONCE):
-            numbers = range(first, min(first + _AT_ONCE, len(self._units)))
-            found = self._storage.read_many([_unit_key(number) for number in numbers])
+        for first in range(0, len(self.units), _AT_ONCE):
+            numbers = range(first, min(first + _AT_ONCE, len(self.units)))
+            found = self.storage.read_many([_unit_key(number) for number in numbers])
             for number in numbers:
                 with suppress(ValueError, KeyError, TypeError, zlib.error):
-                    unit = self._units[number]
+                    unit = self.units[number]
                     record = UnitRecord.from_json(found[_unit_key(number)] or b"", unit.plan)
                     if record.number == number and _fits(record, unit.ids):
                         yield record
+
+
+def begin_journal(storage: Storage, where: str, job: Job, run: str | None = None) -> Journal:
+    """Keep a conversion's plan.
+
+    Parameters
+    ----------
+    run : str, optional
+        The plan's that is gone on with; None = nothing that was done before counts, even where it
+        could not be removed.
+    """
+    plan = {
+        "tool_version": __version__,
+        "run": run or secrets.token_hex(8),
+        "options": option_values(job.options),
+        "margins": None if job.margins is None else asdict(job.margins),
+        "files": job.states,
+        "base": _base(job.base),
+    }
+    data = seal(plan)
+    storage.write(PLAN, [data])
+    return _journal(storage, where, data)
+
+
+def kept_journal(storage: Storage, where: str) -> Journal | None:
+    """Return the journal that is kept; None = none, or one that a fault of the disk spoilt."""
+    # An answer that was cut short may be whole the second time; all that was done hangs on it.
+    for _ in range(2):
+        data = storage.read(PLAN)
+        if data is None:
+            break
+        with suppress(ValueError, KeyError, TypeError):
+            return _journal(storage, where, data)
+    return None
+
+
+def _journal(storage: Storage, where: str, data: bytes) -> Journal:
+    plan = unseal(data)
+    return Journal(storage, where, plan, _units(plan))
+
+
+def _base(base: Base | None) -> dict[str, Any] | None:
+    return None if base is None else asdict(base)
 
 
 def _unit_key(number: int) -> str:
     return f"{_UNITS}/{number}.json"
 
 
-class _Unit(NamedTuple):
-    """Say which frames a unit has, and what tells its record from any other's."""
-
-    ids: list[str]
-    plan: str
-
-
-def _units(plan: Mapping[str, Any]) -> list[_Unit]:
+def _units(plan: Mapping[str, Any]) -> list[Unit]:
     """Return the units of a plan; a record counts for just the plan and files it was made by."""
     files, base = plan["files"], plan["base"]
     frames = 0 if base is None else base["frames"]
@@ -264,7 +269,7 @@ def _units(plan: Mapping[str, Any]) -> list[_Unit]:
     units = []
     for number, ids in enumerate(units_of(list(files), plan["options"]["shard_length"], frames)):
         said = json.dumps([every, number, [[i, files[i]] for i in ids]])
-        units.append(_Unit(ids, hashlib.sha256(said.encode()).hexdigest()))
+        units.append(Unit(ids, hashlib.sha256(said.encode()).hexdigest()))
     return units
 
 

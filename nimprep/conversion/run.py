@@ -17,7 +17,7 @@ import numpy.typing as npt
 from nimprep.conversion.encode import encode_units as encode_units_here
 from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, packing_goes_on
 from nimprep.conversion.job import Base, Job
-from nimprep.conversion.journal import Journal, LostRecordsError
+from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_modalities, plan_splits
@@ -94,7 +94,7 @@ def convert(
     plan_modalities(reader, options)
     plan_splits(reader, options, reader.ids)
     with workspace_at(storage, overwrite=options.overwrite) as workspace:
-        run = Run(source, reader, options, workspace, Journal(workspace.journal, str(storage)))
+        run = Run(source, reader, options, workspace, str(storage))
         run.prepare(start)
         run.encode(start)
         run.finish()
@@ -120,14 +120,14 @@ class Run:
         reader: Reader,
         options: ConvertOptions,
         workspace: Workspace,
-        journal: Journal,
+        where: str,
         base: Base | None = None,
     ) -> None:
         self._source = source
         self._reader = reader
         self._options = options
         self._workspace = workspace
-        self._journal = journal
+        self._where = where
         self._base = base
         self._workers = options.workers or available_cores()
 
@@ -135,13 +135,14 @@ class Run:
         """Plan anew, or take up the plan of a conversion that was cut short."""
         skip = self._options.on_error == "skip"
         states = frame_states(self._reader, skip_bad=skip)
-        plan = None if self._options.restart else self._journal.plan()
-        if plan is None:
+        storage = self._workspace.journal
+        kept = None if self._options.restart else kept_journal(storage, self._where)
+        if kept is None:
             self._workspace.clear()
             margins = self._margins(start)
         else:
-            self._journal.check(plan, self._options, states)
-            margins = self._journal.begun_margins(plan)
+            kept.check(self._options, states, self._base)
+            margins = kept.margins
         if margins is not None:
             self._reader = CroppedReader(self._reader, margins)
         layout = plan_layout(self._reader, self._options, alone=self._base is None)
@@ -149,9 +150,10 @@ class Run:
             layout = replace(layout, height=self._base.height, width=self._base.width)
         store = self._workspace.store
         self.job = Job(self._source, self._options, margins, layout, states, store, self._base)
-        if plan is not None:
-            self._keep(plan)
-        self._journal.begin(self._options, margins, states, None if plan is None else plan["run"])
+        if kept is not None:
+            self._keep(kept)
+        run = None if kept is None else kept.plan["run"]
+        self._journal = begin_journal(storage, self._where, self.job, run)
         self._begin_store()
 
     def _begin_store(self) -> None:
@@ -170,23 +172,22 @@ class Run:
         skip = self._options.on_error == "skip"
         return find_invalid_sides(self._reader, self._workers, done, skip_bad=skip)
 
-    def _keep(self, plan: dict[str, Any]) -> None:
+    def _keep(self, kept: Journal) -> None:
         """Forget the units that are to be done again, the others' shards being there."""
-        found = self._journal.records()
-        records = [record for _, record in sorted(found.items())]
-        again = {record.number for record in records if self._is_mended(record, plan)}
+        records = [record for _, record in sorted(kept.records().items())]
+        again = {record.number for record in records if self._is_mended(record, kept)}
         undone = len(records) < len(self.job.units())
         if again or undone or not packing_goes_on(self._writer(), records):
             forget_packing(self._workspace.store)
             # Such as shards of a store in its place, or moved up already into the gaps.
             again |= lost_units(self._writer(), records)
         for number in again:
-            self._journal.forget(number)
+            kept.forget(number)
 
-    def _is_mended(self, record: UnitRecord, plan: dict[str, Any]) -> bool:
+    def _is_mended(self, record: UnitRecord, kept: Journal) -> bool:
         """Return whether bad frames of a unit were mended since, or may no longer be skipped."""
         bad = [frame.id for frame in record.skipped]
-        mended = any(plan["files"].get(i) != listed_state(self.job.states[i]) for i in bad)
+        mended = any(kept.plan["files"].get(i) != listed_state(self.job.states[i]) for i in bad)
         return mended or (bool(bad) and self._options.on_error == "stop")
 
     def _describe(self, ids: Sequence[str]) -> dict[str, Any]:
