@@ -46,7 +46,7 @@ from numcodecs import blosc
 import nimprep
 from nimprep.conversion import run as run_module
 from nimprep.conversion.encode import encode_unit
-from nimprep.conversion.job import Job
+from nimprep.conversion.plan import Job
 from nimprep.conversion.records import UnitRecord
 from nimprep.readers import Reader, open_reader
 from nimprep.synthetic import write_synthetic

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,9 +13,8 @@ import numpy.typing as npt
 
 from nimprep import __version__
 from nimprep.conversion.compatibility import check_frames, options_like, padded_size
-from nimprep.conversion.job import Base
 from nimprep.conversion.journal import kept_journal
-from nimprep.conversion.plan import check_apart, fixed_splits, frame_metadata, local_folder
+from nimprep.conversion.plan import Base, fixed_splits, frame_metadata
 from nimprep.conversion.provenance import (
     joined_fixed,
     joined_metadata,
@@ -25,19 +23,19 @@ from nimprep.conversion.provenance import (
     parts,
 )
 from nimprep.conversion.records import (
-    FrameFacts,
     SkippedFrame,
-    UnitRecord,
     depth_percentiles,
     source_digest,
     tables,
 )
-from nimprep.conversion.run import Run
+from nimprep.conversion.run import encode, make_plan
 from nimprep.conversion.shard_assembly import StoreChunks, UnitChunks, depth_counts, join_shards
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import (
     LocalWorkspace,
+    check_apart,
     check_unchanged,
+    local_folder,
     open_workspace,
     root_digest,
 )
@@ -193,7 +191,7 @@ class _Append:
 
     def finished(self) -> Appended | None:
         """Return what an append of this very source did that was killed at its last step."""
-        kept = kept_journal(self._workspace.journal, str(self._store.path))
+        kept = kept_journal(self._workspace.journal, self._workspace.where)
         ours = {} if kept is None else kept.plan["files"]
         here = SubsetReader(self.reader, [i for i in self.reader.ids if i in ours])
         states = frame_states(here, skip_bad=self._options.on_error == "skip")
@@ -224,23 +222,22 @@ class _Append:
         path, digest = Path(self._store.path), self._store.attributes["source"]["digest"]
         base = Base(len(self._store), *padded_size(self._store), digest)
         reader = SubsetReader(self.reader, new)
-        run = Run(self._source, reader, self._convert, self._workspace, str(path), base)
-        run.prepare(start)
-        run.encode(start)
-        records, counts = run.whole()
-        self._facts, self._skipped = _flat(records)
+        plan = make_plan(self._source, reader, self._convert, self._workspace, start, base)
+        records = encode(plan, start)
+        self._facts, self._skipped = records.facts, records.skipped
         self._ids = tuple(facts.id for facts in self._facts)
         if not self._facts:
             self._workspace.clear()
             return self._appended(self._store)
         frames = len(self._store) + len(self._facts)
-        layout = replace(run.job.layout, frames=frames, classes=self._store.classes)
+        layout = replace(plan.job.layout, frames=frames, classes=self._store.classes)
         self._workspace.joined.remove("")
-        units = UnitChunks(self._workspace.store, layout, records)
+        units = UnitChunks(self._workspace.store, layout, records.units)
         checksums = self._join(layout, units, start("joining", frames))
+        counts = records.depth_counts
         if "depth" in self._store.modalities:
             before = start("reading the depth there was", len(self._store))
-            counts += depth_counts(self._store, self._workers, before)
+            counts = counts + depth_counts(self._store, self._workers, before)
         writer = StoreWriter(self._workspace.joined, layout)
         writer.finish(self._tables(checksums), self._attributes(depth_percentiles(counts)))
         carry_over(path, self._workspace.joined.root)
@@ -353,8 +350,3 @@ class _Append:
 
     def _appended(self, store: Store) -> Appended:
         return Appended(store, self._ids, len(self._existing), tuple(self._skipped))
-
-
-def _flat(records: Sequence[UnitRecord]) -> tuple[list[FrameFacts], list[SkippedFrame]]:
-    facts = chain.from_iterable(record.frames for record in records)
-    return list(facts), list(chain.from_iterable(record.skipped for record in records))

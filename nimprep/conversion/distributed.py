@@ -20,7 +20,7 @@ from itertools import islice
 from typing import Any
 
 from nimprep import __version__
-from nimprep.conversion.job import Job
+from nimprep.conversion.plan import Job
 from nimprep.conversion.records import UnitRecord
 from nimprep.conversion.worker import Reply, packed
 from nimprep.errors import ClusterError, NimprepError

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.conversion.job import Job
+from nimprep.conversion.plan import Job
 from nimprep.conversion.records import DEPTHS, FrameFacts, SkippedFrame, UnitRecord
 from nimprep.conversion.sources import FileState, changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import derive, fill_frame

@@ -13,12 +13,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from nimprep import __version__
-from nimprep.conversion.job import Base, Job, units_of
 from nimprep.conversion.options import ConvertOptions
-from nimprep.conversion.records import DEPTHS, UnitRecord, seal, unseal
+from nimprep.conversion.records import DEPTHS, Records, UnitRecord, seal, unseal
 from nimprep.conversion.sources import FileState, changed_files
 from nimprep.errors import StoreError
 from nimprep.readers.crop import Margins
@@ -100,7 +98,7 @@ class Journal:
         self,
         options: ConvertOptions,
         states: Mapping[str, tuple[FileState, ...]],
-        base: Base | None,
+        base: Mapping[str, Any] | None,
     ) -> None:
         """Make sure that going on gives what one run would have given.
 
@@ -119,7 +117,7 @@ class Journal:
             before, after = plan["options"].get(name), now.get(name)
             if before != after:
                 changes.append(f"{name} {_shown(before)} then and {_shown(after)} now")
-        if plan.get("base") != _base(base):
+        if plan.get("base") != base:
             changes.append("another store to append to")
         changes += self._changed_frames(plan["files"], states)
         if changes:
@@ -180,8 +178,8 @@ class Journal:
         done = self.records()
         return [number for number in range(len(self.units)) if number not in done]
 
-    def whole(self) -> tuple[list[UnitRecord], npt.NDArray[np.int64]]:
-        """Return the records of all of the plan's units, in order, and their histograms' sum.
+    def whole(self) -> Records:
+        """Return the records of all of the plan's units.
 
         Raises
         ------
@@ -199,7 +197,7 @@ class Journal:
                 f"{self.where}: expected a whole record of each of {len(self.units)} units, "
                 f"found those of {lost} lost or damaged; the same command makes them again"
             )
-        return [records[number] for number in range(len(self.units))], total
+        return Records(tuple(records[number] for number in range(len(self.units))), total)
 
     def _read(self) -> Iterator[UnitRecord]:
         """Yield the units' records that are whole, asked for by number: no listing is relied on."""
@@ -214,24 +212,20 @@ class Journal:
                         yield record
 
 
-def begin_journal(storage: Storage, where: str, job: Job, run: str | None = None) -> Journal:
+def begin_journal(
+    storage: Storage, where: str, document: Mapping[str, Any], run: str | None = None
+) -> Journal:
     """Keep a conversion's plan.
 
     Parameters
     ----------
+    document : mapping
+        What is to be kept of it: see `nimprep.conversion.plan.Job.document`.
     run : str, optional
         The plan's that is gone on with; None = nothing that was done before counts, even where it
         could not be removed.
     """
-    plan = {
-        "tool_version": __version__,
-        "run": run or secrets.token_hex(8),
-        "options": option_values(job.options),
-        "margins": None if job.margins is None else asdict(job.margins),
-        "files": job.states,
-        "base": _base(job.base),
-    }
-    data = seal(plan)
+    data = seal({"tool_version": __version__, "run": run or secrets.token_hex(8), **document})
     storage.write(PLAN, [data])
     return _journal(storage, where, data)
 
@@ -253,8 +247,14 @@ def _journal(storage: Storage, where: str, data: bytes) -> Journal:
     return Journal(storage, where, plan, _units(plan))
 
 
-def _base(base: Base | None) -> dict[str, Any] | None:
-    return None if base is None else asdict(base)
+def units_of(ids: Sequence[str], length: int, before: int) -> list[list[str]]:
+    """Return each unit's frame ids: a shard's length, less in the last.
+
+    The first has as many as the last shard of the `before` frames that there are already has room
+    for, so that shards fall together.
+    """
+    first = length - before % length
+    return [list(ids[:first]), *(list(ids[i : i + length]) for i in range(first, len(ids), length))]
 
 
 def _unit_key(number: int) -> str:

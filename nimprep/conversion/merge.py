@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from nimprep import __version__
 from nimprep.conversion.compatibility import check_alike, normal_dtype, padded_size, shard_length
-from nimprep.conversion.plan import check_apart, local_folder, warn_of_padding
+from nimprep.conversion.plan import warn_of_padding
 from nimprep.conversion.provenance import (
     joined_fixed,
     joined_metadata,
@@ -24,7 +24,13 @@ from nimprep.conversion.provenance import (
 )
 from nimprep.conversion.records import depth_percentiles
 from nimprep.conversion.shard_assembly import Chunks, StoreChunks, depth_counts, join_shards
-from nimprep.conversion.workspace import check_unchanged, open_workspace, root_digest
+from nimprep.conversion.workspace import (
+    check_apart,
+    check_unchanged,
+    local_folder,
+    open_workspace,
+    root_digest,
+)
 from nimprep.errors import SplitError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.store.reader import Store, open_store

@@ -39,6 +39,7 @@ class ObjectWorkspace:
     """
 
     def __init__(self, target: ObjectStorage, hidden: ObjectStorage, lock: ObjectLock) -> None:
+        self.where = str(target)
         self.store = target
         self.journal = hidden.sibling(f"{hidden.name}/journal")
         self._lock = lock

@@ -4,54 +4,118 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from nimprep import __version__
+from nimprep.conversion.journal import Journal, option_values, units_of
 from nimprep.conversion.options import ConvertOptions
+from nimprep.conversion.sources import FileState
 from nimprep.derive.recipe import Recipe
 from nimprep.errors import LayoutError, StoreError
 from nimprep.modality import MODALITIES, Modality, given_for
-from nimprep.readers import Reader
+from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.schema import schema_problems
 from nimprep.splits import SplitName, assign_splits, splits_from_file
-from nimprep.store.location import location_from
 from nimprep.store.spec import FORMAT_VERSION
-from nimprep.store.writer import StoreLayout
+from nimprep.store.storage import Storage
+from nimprep.store.writer import StoreLayout, StoreWriter
 
 
-def check_apart(source: Path, target: Path) -> None:
-    """Raise `StoreError` where writing the target would write into the source."""
-    a, b = source.resolve(), target.resolve()
-    if a == b or b.is_relative_to(a) or a.is_relative_to(b):
-        raise StoreError(
-            f"{target}: expected a target apart from the source {source}, found one within the "
-            "other; choose another place"
-        )
+@dataclass(frozen=True)
+class Base:
+    """Name the store that frames are appended to, as far as encoding them depends on it.
 
-
-def local_folder(place: Path | str, task: str) -> Path:
-    """Return the folder of a store.
-
-    Parameters
+    Attributes
     ----------
-    task : str
-        What it is needed for, for the message.
-
-    Raises
-    ------
-    StoreError
-        It is a URL.
+    frames : int
+        So many it has: the first unit is to fill its last shard.
+    height, width : int
+        Of its padded images.
+    digest : str
+        Of its sources.
     """
-    found = location_from(place)
-    if isinstance(found, str):
-        raise StoreError(
-            f"{place}: expected a folder on this machine to {task}, found a URL; copy the store "
-            "here first"
-        )
-    return found
+
+    frames: int
+    height: int
+    width: int
+    digest: str
+
+
+@dataclass(frozen=True)
+class Job:
+    """Describe a conversion to whoever encodes a part of it; other processes get it as it is.
+
+    Attributes
+    ----------
+    source : Path
+    options : ConvertOptions
+    margins : Margins, optional
+        Cut off every frame.
+    layout : StoreLayout
+        Its number of frames is that of the source; fewer are stored where some are skipped.
+    states : mapping of frame id to file states
+        In the reader's order.
+    storage : Storage
+        Where the store is written.
+    base : Base, optional
+        The store that the frames will be appended to.
+    """
+
+    source: Path
+    options: ConvertOptions
+    margins: Margins | None
+    layout: StoreLayout
+    states: Mapping[str, tuple[FileState, ...]]
+    storage: Storage
+    base: Base | None = None
+
+    def open_reader(self) -> Reader:
+        """Open the source as the plan did."""
+        reader = open_reader(self.source, self.options.reader, self.options.reading)
+        return reader if self.margins is None else CroppedReader(reader, self.margins)
+
+    def units(self) -> list[list[str]]:
+        """Return each unit's frame ids: see `units_of`."""
+        frames = self.base.frames if self.base else 0
+        return units_of(list(self.states), self.layout.shard_length, frames)
+
+    def document(self) -> dict[str, Any]:
+        """Return what is kept of it, so that it can be told whether another is the same."""
+        return {
+            "options": option_values(self.options),
+            "margins": None if self.margins is None else asdict(self.margins),
+            "files": self.states,
+            "base": None if self.base is None else asdict(self.base),
+        }
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Hold all that is known of a conversion before it encodes the first frame.
+
+    Attributes
+    ----------
+    job : Job
+    reader : Reader
+        Of the frames, the margins cut off.
+    journal : Journal
+        Keeps what is done.
+    """
+
+    job: Job
+    reader: Reader
+    journal: Journal
+
+    def writer(self) -> StoreWriter:
+        """Return what writes the store."""
+        return StoreWriter(self.job.storage, self.job.layout)
+
+    def describe(self, ids: Sequence[str]) -> dict[str, Any]:
+        """Return the `nimprep` object of the store's root as far as it is known: see `describe`."""
+        return describe(self.reader, self.job.layout, self.job.options, ids)
 
 
 def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:

@@ -150,6 +150,32 @@ class UnitRecord:
         return replace(self, depth_counts=self.depth_counts[:0].copy())
 
 
+@dataclass(frozen=True)
+class Records:
+    """Hold what is known of all of a plan's units once they are written.
+
+    Attributes
+    ----------
+    units : tuple of UnitRecord
+        In order, without their histograms.
+    depth_counts : (65536,) int64
+        Pixels per depth in millimetres, of all units.
+    """
+
+    units: tuple[UnitRecord, ...]
+    depth_counts: npt.NDArray[np.int64]
+
+    @property
+    def facts(self) -> list[FrameFacts]:
+        """What is known of every frame that is stored, in order."""
+        return [frame for unit in self.units for frame in unit.frames]
+
+    @property
+    def skipped(self) -> list[SkippedFrame]:
+        """The frames that were left out, in order."""
+        return [frame for unit in self.units for frame in unit.skipped]
+
+
 def tables(
     facts: Sequence[FrameFacts], splits: Sequence[str], modalities: Sequence[str]
 ) -> dict[str, npt.NDArray[Any]]:

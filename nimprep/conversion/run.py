@@ -7,24 +7,19 @@ import warnings
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from nimprep.conversion.encode import encode_units as encode_units_here
 from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, packing_goes_on
-from nimprep.conversion.job import Base, Job
 from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
-from nimprep.conversion.plan import check_apart, describe, plan_layout, plan_modalities, plan_splits
-from nimprep.conversion.records import UnitRecord, depth_percentiles, source_digest, tables
+from nimprep.conversion.plan import Base, Job, Plan, plan_layout, plan_modalities, plan_splits
+from nimprep.conversion.records import Records, UnitRecord, depth_percentiles, source_digest, tables
 from nimprep.conversion.shard_contents import lost_units
 from nimprep.conversion.sources import frame_states, listed_state
-from nimprep.conversion.workspace import Workspace
+from nimprep.conversion.workspace import Workspace, check_apart
 from nimprep.errors import DecodeError, LayoutError, NimprepError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import Reader, open_reader
@@ -94,10 +89,9 @@ def convert(
     plan_modalities(reader, options)
     plan_splits(reader, options, reader.ids)
     with workspace_at(storage, overwrite=options.overwrite) as workspace:
-        run = Run(source, reader, options, workspace, str(storage))
-        run.prepare(start)
-        run.encode(start)
-        run.finish()
+        plan = make_plan(source, reader, options, workspace, start)
+        records = encode(plan, start)
+        finish(plan, records)
         workspace.publish()
     # Said last, beside the summary: at the start it would scroll away, and bad data gets one line.
     for note in reader.info.notes:
@@ -105,169 +99,117 @@ def convert(
     return open_store(storage)
 
 
-class Run:
-    """One conversion, from its plan to the finished store in the workspace.
+def make_plan(
+    source: Path,
+    reader: Reader,
+    options: ConvertOptions,
+    workspace: Workspace,
+    start: Progress,
+    base: Base | None = None,
+) -> Plan:
+    """Plan a conversion, or take up the plan of one that was cut short; begin its store.
 
     Parameters
     ----------
     base : Base, optional
-        The store that the frames are to be appended to: then `finish` is the caller's.
+        The store that the frames are to be appended to.
     """
+    states = frame_states(reader, skip_bad=options.on_error == "skip")
+    kept = None if options.restart else kept_journal(workspace.journal, workspace.where)
+    if kept is None:
+        workspace.clear()
+        margins = _margins(reader, options, start)
+    else:
+        kept.check(options, states, None if base is None else asdict(base))
+        margins = kept.margins
+    if margins is not None:
+        reader = CroppedReader(reader, margins)
+    layout = plan_layout(reader, options, alone=base is None)
+    if base is not None:
+        layout = replace(layout, height=base.height, width=base.width)
+    job = Job(source, options, margins, layout, states, workspace.store, base)
+    if kept is not None:
+        _forget_undone(kept, job)
+    run = None if kept is None else kept.plan["run"]
+    journal = begin_journal(workspace.journal, workspace.where, job.document(), run)
+    plan = Plan(job, reader, journal)
+    _begin_store(plan)
+    return plan
 
-    def __init__(
-        self,
-        source: Path,
-        reader: Reader,
-        options: ConvertOptions,
-        workspace: Workspace,
-        where: str,
-        base: Base | None = None,
-    ) -> None:
-        self._source = source
-        self._reader = reader
-        self._options = options
-        self._workspace = workspace
-        self._where = where
-        self._base = base
-        self._workers = options.workers or available_cores()
 
-    def prepare(self, start: Progress) -> None:
-        """Plan anew, or take up the plan of a conversion that was cut short."""
-        skip = self._options.on_error == "skip"
-        states = frame_states(self._reader, skip_bad=skip)
-        storage = self._workspace.journal
-        kept = None if self._options.restart else kept_journal(storage, self._where)
-        if kept is None:
-            self._workspace.clear()
-            margins = self._margins(start)
-        else:
-            kept.check(self._options, states, self._base)
-            margins = kept.margins
-        if margins is not None:
-            self._reader = CroppedReader(self._reader, margins)
-        layout = plan_layout(self._reader, self._options, alone=self._base is None)
-        if self._base is not None:
-            layout = replace(layout, height=self._base.height, width=self._base.width)
-        store = self._workspace.store
-        self.job = Job(self._source, self._options, margins, layout, states, store, self._base)
-        if kept is not None:
-            self._keep(kept)
-        run = None if kept is None else kept.plan["run"]
-        self._journal = begin_journal(storage, self._where, self.job, run)
-        self._begin_store()
+def _margins(reader: Reader, options: ConvertOptions, start: Progress) -> Margins | None:
+    if options.crop != "auto":
+        return None if options.crop is None else Margins(*options.crop)
+    done = start("looking for sides without depth", len(reader.ids))
+    workers, skip = options.workers or available_cores(), options.on_error == "skip"
+    return find_invalid_sides(reader, workers, done, skip_bad=skip)
 
-    def _begin_store(self) -> None:
-        """Write a root that is no other's: what a cluster is late with must not come between."""
-        run = {"run": secrets.token_hex(8)}
-        self._writer().begin({**self._describe(self._reader.ids), **run})
 
-    def _writer(self) -> StoreWriter:
-        return StoreWriter(self._workspace.store, self.job.layout)
+def _forget_undone(kept: Journal, job: Job) -> None:
+    """Forget the units that are to be done again, the others' shards being there."""
+    writer = StoreWriter(job.storage, job.layout)
+    records = [record for _, record in sorted(kept.records().items())]
+    again = {record.number for record in records if _is_mended(record, kept, job)}
+    undone = len(records) < len(job.units())
+    if again or undone or not packing_goes_on(writer, records):
+        forget_packing(job.storage)
+        # Such as shards of a store in its place, or moved up already into the gaps.
+        again |= lost_units(writer, records)
+    for number in again:
+        kept.forget(number)
 
-    def _margins(self, start: Progress) -> Margins | None:
-        crop = self._options.crop
-        if crop != "auto":
-            return None if crop is None else Margins(*crop)
-        done = start("looking for sides without depth", len(self._reader.ids))
-        skip = self._options.on_error == "skip"
-        return find_invalid_sides(self._reader, self._workers, done, skip_bad=skip)
 
-    def _keep(self, kept: Journal) -> None:
-        """Forget the units that are to be done again, the others' shards being there."""
-        records = [record for _, record in sorted(kept.records().items())]
-        again = {record.number for record in records if self._is_mended(record, kept)}
-        undone = len(records) < len(self.job.units())
-        if again or undone or not packing_goes_on(self._writer(), records):
-            forget_packing(self._workspace.store)
-            # Such as shards of a store in its place, or moved up already into the gaps.
-            again |= lost_units(self._writer(), records)
-        for number in again:
-            kept.forget(number)
+def _is_mended(record: UnitRecord, kept: Journal, job: Job) -> bool:
+    """Return whether bad frames of a unit were mended since, or may no longer be skipped."""
+    bad = [frame.id for frame in record.skipped]
+    mended = any(kept.plan["files"].get(i) != listed_state(job.states[i]) for i in bad)
+    return mended or (bool(bad) and job.options.on_error == "stop")
 
-    def _is_mended(self, record: UnitRecord, kept: Journal) -> bool:
-        """Return whether bad frames of a unit were mended since, or may no longer be skipped."""
-        bad = [frame.id for frame in record.skipped]
-        mended = any(kept.plan["files"].get(i) != listed_state(self.job.states[i]) for i in bad)
-        return mended or (bool(bad) and self._options.on_error == "stop")
 
-    def _describe(self, ids: Sequence[str]) -> dict[str, Any]:
-        return describe(self._reader, self.job.layout, self._options, ids)
+def _begin_store(plan: Plan) -> None:
+    """Write a root that is no other's: what a cluster is late with must not come between."""
+    plan.writer().begin({**plan.describe(plan.reader.ids), "run": secrets.token_hex(8)})
 
-    def encode(self, start: Progress) -> None:
-        """Encode and write the units that are not done yet."""
-        units = self.job.units()
-        todo = self._journal.missing()
-        total = len(self._reader.ids)
-        before = total - sum(len(units[number]) for number in todo)
-        done = start("converting" if not before else "going on converting", total)
-        for _ in range(before):
-            done()
-        self._encode(todo, done)
 
-    def _encode(self, todo: Sequence[int], done: Callable[[], None]) -> None:
-        total = len(self._reader.ids)
-        try:
-            encode_units = _encoder(self._options)
-            encoding = encode_units(self.job, self._reader, todo, self._workers, done)
-            with closing(encoding):
-                for record in encoding:
-                    self._journal.record(record)
-        except (NimprepError, KeyboardInterrupt) as error:
-            if isinstance(error, NimprepError) and error.frame_id is not None:
-                self._journal.note_failure(error.frame_id)
-            self._say_how_to_go_on(error, total)
-            raise
+def encode(plan: Plan, start: Progress) -> Records:
+    """Encode and write the units that are not done yet; return the records of all.
 
-    def _say_how_to_go_on(self, error: BaseException, total: int) -> None:
-        kept = sum(len(r.frames) for r in self._journal.records().values())
-        if kept:
+    A unit whose record was spoilt since is done again, once.
+
+    Raises
+    ------
+    NimprepError
+        A frame is bad, the disk full, or a record cannot be kept.
+    """
+    units, todo = plan.job.units(), plan.journal.missing()
+    total = len(plan.reader.ids)
+    before = total - sum(len(units[number]) for number in todo)
+    done = start("converting" if not before else "going on converting", total)
+    for _ in range(before):
+        done()
+    _encode(plan, todo, done)
+    try:
+        return plan.journal.whole()
+    except LostRecordsError:
+        _encode(plan, plan.journal.missing(), lambda: None)
+        return plan.journal.whole()
+
+
+def _encode(plan: Plan, todo: Sequence[int], done: Callable[[], None]) -> None:
+    options, journal = plan.job.options, plan.journal
+    workers = options.workers or available_cores()
+    try:
+        encoding = _encoder(options)(plan.job, plan.reader, todo, workers, done)
+        with closing(encoding):
+            for record in encoding:
+                journal.record(record)
+    except (NimprepError, KeyboardInterrupt) as error:
+        if isinstance(error, NimprepError) and error.frame_id is not None:
+            journal.note_failure(error.frame_id)
+        if kept := sum(len(record.frames) for record in journal.records().values()):
+            total = len(plan.reader.ids)
             error.add_note(f"{kept} of {total} frames are kept: the same command goes on from them")
-
-    def whole(self) -> tuple[list[UnitRecord], npt.NDArray[np.int64]]:
-        """Return every unit's record, in order, and how many pixels have each depth.
-
-        A unit whose record was spoilt since is done again, once.
-
-        Raises
-        ------
-        StoreError
-            One cannot be kept.
-        """
-        try:
-            return self._journal.whole()
-        except LostRecordsError:
-            self._encode(self._journal.missing(), lambda: None)
-            return self._journal.whole()
-
-    def finish(self) -> None:
-        """Close the gaps of skipped frames, write the tables, and complete the store."""
-        records, counts = self.whole()
-        facts = list(chain.from_iterable(record.frames for record in records))
-        skipped = list(chain.from_iterable(record.skipped for record in records))
-        if not facts:
-            raise DecodeError(
-                f"{self._source}: expected at least one good frame, found {len(skipped)} bad ones, "
-                f"first {skipped[0].id!r}: {skipped[0].reason}"
-            )
-        self._pack(records)
-        ids = [frame.id for frame in facts]
-        attributes = {
-            **self._describe(ids),
-            **({"skipped": [asdict(frame) for frame in skipped]} if skipped else {}),
-            "depth_percentiles_m": depth_percentiles(counts),
-            "source": {"digest": source_digest(facts)},
-        }
-        layout = replace(self.job.layout, frames=len(facts))
-        splits = plan_splits(self._reader, self._options, ids)
-        StoreWriter(self._workspace.store, layout).finish(
-            tables(facts, splits, layout.modalities), attributes
-        )
-
-    def _pack(self, records: Sequence[UnitRecord]) -> None:
-        lengths = [len(record.frames) for record in records]
-        if not is_packed(lengths, self.job.layout.shard_length):
-            self._begin_store()
-            pack_shards(self._writer(), records)
+        raise
 
 
 def _encoder(options: ConvertOptions) -> Callable[..., Generator[UnitRecord]]:
@@ -277,3 +219,32 @@ def _encoder(options: ConvertOptions) -> Callable[..., Generator[UnitRecord]]:
     from nimprep.conversion.distributed import encode_units
 
     return encode_units
+
+
+def finish(plan: Plan, records: Records) -> None:
+    """Close the gaps of skipped frames, write the tables, and complete the store."""
+    facts, skipped = records.facts, records.skipped
+    if not facts:
+        raise DecodeError(
+            f"{plan.job.source}: expected at least one good frame, found {len(skipped)} bad ones, "
+            f"first {skipped[0].id!r}: {skipped[0].reason}"
+        )
+    _close_gaps(plan, records)
+    ids = [frame.id for frame in facts]
+    attributes = {
+        **plan.describe(ids),
+        **({"skipped": [asdict(frame) for frame in skipped]} if skipped else {}),
+        "depth_percentiles_m": depth_percentiles(records.depth_counts),
+        "source": {"digest": source_digest(facts)},
+    }
+    splits = plan_splits(plan.reader, plan.job.options, ids)
+    layout = replace(plan.job.layout, frames=len(facts))
+    writer = StoreWriter(plan.job.storage, layout)
+    writer.finish(tables(facts, splits, layout.modalities), attributes)
+
+
+def _close_gaps(plan: Plan, records: Records) -> None:
+    lengths = [len(unit.frames) for unit in records.units]
+    if not is_packed(lengths, plan.job.layout.shard_length):
+        _begin_store(plan)
+        pack_shards(plan.writer(), records.units)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nimprep.conversion.encode import encode_unit
-from nimprep.conversion.job import Job
+from nimprep.conversion.plan import Job
 from nimprep.errors import NimprepError, StoreError
 from nimprep.readers import Reader
 from nimprep.store.metadata import ROOT

@@ -14,6 +14,7 @@ from nimprep.errors import StoreError
 from nimprep.files import replace_file
 from nimprep.folders import place_of, sync_tree
 from nimprep.store.extras import discard
+from nimprep.store.location import location_from
 from nimprep.store.lock import LOCK, MARKER, hidden_folder, locked_folder
 from nimprep.store.metadata import ROOT
 from nimprep.store.storage import LocalStorage, Storage
@@ -34,6 +35,8 @@ class Workspace(Protocol):
         Where the store is written.
     journal : Storage
         Where the journal is kept.
+    where : str
+        The target as it was named.
     """
 
     @property
@@ -41,6 +44,9 @@ class Workspace(Protocol):
 
     @property
     def journal(self) -> Storage: ...
+
+    @property
+    def where(self) -> str: ...
 
     def clear(self) -> None:
         """Remove what an earlier conversion left here."""
@@ -71,6 +77,7 @@ class LocalWorkspace:
     """
 
     def __init__(self, target: Path, *, overwrite: bool, task: str = "") -> None:
+        self.where = str(target)
         self.target = place_of(target)
         self.folder = hidden_folder(self.target)
         self.place = self.folder / task
@@ -137,6 +144,38 @@ class LocalWorkspace:
                 shutil.rmtree(storage.root, ignore_errors=True)
         if self.place != self.folder and self.place.is_dir() and not any(self.place.iterdir()):
             self.place.rmdir()
+
+
+def check_apart(source: Path, target: Path) -> None:
+    """Raise `StoreError` where writing the target would write into the source."""
+    a, b = source.resolve(), target.resolve()
+    if a == b or b.is_relative_to(a) or a.is_relative_to(b):
+        raise StoreError(
+            f"{target}: expected a target apart from the source {source}, found one within the "
+            "other; choose another place"
+        )
+
+
+def local_folder(place: Path | str, task: str) -> Path:
+    """Return the folder of a store.
+
+    Parameters
+    ----------
+    task : str
+        What it is needed for, for the message.
+
+    Raises
+    ------
+    StoreError
+        It is a URL.
+    """
+    found = location_from(place)
+    if isinstance(found, str):
+        raise StoreError(
+            f"{place}: expected a folder on this machine to {task}, found a URL; copy the store "
+            "here first"
+        )
+    return found
 
 
 def root_digest(store: Path) -> str:

@@ -16,7 +16,7 @@ import pytest
 import nimprep
 from nimprep.conversion import distributed as cluster_module
 from nimprep.conversion import worker as worker_module
-from nimprep.conversion.job import Job
+from nimprep.conversion.plan import Job
 from nimprep.errors import ClusterError, DecodeError
 from tests.fakes import contents, write_gmrp
 from tests.held import RECORD, held

@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 import nimprep
-from nimprep.conversion.run import Run
+from nimprep.conversion import run
+from nimprep.conversion.plan import Plan
+from nimprep.conversion.records import Records
 from nimprep.errors import StoreError
 from nimprep.store.storage import LocalStorage
 from tests.conversion.test_records import DAMAGES
@@ -29,14 +31,14 @@ class Disk:
         self._left = -1
         for name in ("write", "move", "remove"):
             patch.setattr(LocalStorage, name, self._dying(getattr(LocalStorage, name)))
-        pack = Run._pack
+        close = run._close_gaps
 
-        def packing(run: Run, records: Any) -> None:
+        def closing(plan: Plan, records: Records) -> None:
             self._left = self.steps
-            pack(run, records)
+            close(plan, records)
             self._left = -1
 
-        patch.setattr(Run, "_pack", packing)
+        patch.setattr(run, "_close_gaps", closing)
         self.steps = -1
 
     def _dying(self, change: Callable[..., None]) -> Callable[..., None]:

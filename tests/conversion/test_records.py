@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import nimprep
+from nimprep.conversion import run
 from nimprep.conversion.append import append_frames
+from nimprep.conversion.journal import Journal
 from nimprep.conversion.records import SkippedFrame, UnitRecord, seal, unseal
-from nimprep.conversion.run import Run
 from nimprep.errors import StoreError
 from nimprep.store.storage import LocalStorage
 from nimprep.store.validate import validate_store
@@ -75,15 +76,15 @@ def spoiling(
 ) -> list[int]:
     """Have a record damaged before the records are read to complete a store; count how often."""
     done: list[int] = []
-    read = Run.whole
+    read = Journal.whole
 
-    def spoilt(self: Run) -> Any:
+    def spoilt(self: Journal) -> Any:
         if len(done) < times:
             done.append(number)
             damage(units / f"{number}.json", units / f"{(number + 1) % UNITS}.json")
         return read(self)
 
-    monkeypatch.setattr(Run, "whole", spoilt)
+    monkeypatch.setattr(Journal, "whole", spoilt)
     return done
 
 
@@ -122,7 +123,7 @@ def test_a_record_spoilt_while_nothing_runs_is_made_again(
 ) -> None:
     target = tmp_path / "s.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "finish", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(run, "finish", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             nimprep.convert(raw, target, shard_length=LENGTH)
     units = tmp_path / ".s.zarr.partial" / "journal" / "units"
@@ -146,7 +147,7 @@ def test_a_shard_spoilt_while_nothing_runs_is_made_again(
     ]
     for name, task, expected in tasks:
         with monkeypatch.context() as patch:
-            patch.setattr(Run, "whole", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+            patch.setattr(Journal, "whole", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
             with pytest.raises(KeyboardInterrupt):
                 task()
         place = tmp_path / f".{name}.zarr.partial" / ("append" if name == "grown" else "")
@@ -162,7 +163,7 @@ def test_a_plan_whose_reading_was_cut_short_is_read_again(
 ) -> None:
     target, read, cuts = tmp_path / "s.zarr", LocalStorage.read, []
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "finish", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(run, "finish", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             nimprep.convert(raw, target, shard_length=LENGTH)
 
@@ -228,7 +229,7 @@ def test_a_record_of_an_earlier_run_is_none_of_this_one(
 ) -> None:
     target = tmp_path / "s.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "finish", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(run, "finish", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             nimprep.convert(raw, target, shard_length=LENGTH)
     units = tmp_path / ".s.zarr.partial" / "journal" / "units"
