@@ -207,7 +207,7 @@ def plan_layout(reader: Reader, options: ConvertOptions, *, alone: bool = True) 
     )
 
 
-def fixed_splits(reader: Reader, ids: Sequence[str]) -> dict[str, SplitName]:
+def fixed_splits(reader: Reader, ids: Iterable[str]) -> dict[str, SplitName]:
     """Return the frames whose split the dataset's authors chose."""
     return {i: split for i in ids if (split := reader.fixed_split(i)) is not None}
 

@@ -1,0 +1,176 @@
+"""A store and the frames that join it, put together: shards, tables, attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep import __version__
+from nimprep.conversion.plan import Plan, fixed_splits, frame_metadata
+from nimprep.conversion.provenance import (
+    joined_fixed,
+    joined_metadata,
+    joined_source,
+    least_certain,
+    parts,
+)
+from nimprep.conversion.records import (
+    FrameFacts,
+    Records,
+    depth_percentiles,
+    source_digest,
+    tables,
+)
+from nimprep.conversion.shard_assembly import StoreChunks, UnitChunks, depth_counts, join_shards
+from nimprep.conversion.workspace import LocalWorkspace
+from nimprep.errors import StoreError
+from nimprep.parallel import Progress, available_cores
+from nimprep.readers import Reader
+from nimprep.splits import SPLITS, extend_splits
+from nimprep.store.checksums import MEND
+from nimprep.store.extras import carry_over
+from nimprep.store.reader import Store
+from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
+from nimprep.store.writer import StoreWriter
+
+
+def grow(
+    old: Store, plan: Plan, records: Records, workspace: LocalWorkspace, start: Progress
+) -> None:
+    """Write the store that has an old one's frames and then the plan's, as `workspace.joined`.
+
+    Raises
+    ------
+    StoreError
+        An image is not the one that was stored, or it cannot be written.
+    """
+    frames = len(old) + len(records.facts)
+    layout = replace(plan.job.layout, frames=frames, classes=old.classes)
+    workspace.joined.remove("")
+    writer = StoreWriter(workspace.joined, layout)
+    units = UnitChunks(workspace.store, layout, records.units)
+    checksums = _join(old, units, writer, start("joining", frames))
+    _check_chunks(old, records.facts, layout.modalities, checksums)
+    counts = records.depth_counts
+    if "depth" in old.modalities:
+        done = start("reading the depth there was", len(old))
+        counts = counts + depth_counts(old, plan.job.options.workers or available_cores(), done)
+    attributes = _attributes(old, plan.reader, records, depth_percentiles(counts))
+    writer.finish(_tables(old, plan.reader, records.facts, checksums), attributes)
+    carry_over(Path(old.path), workspace.joined.root)
+
+
+def _join(
+    old: Store, units: UnitChunks, writer: StoreWriter, done: Callable[[], None]
+) -> npt.NDArray[np.uint32]:
+    """Put old and new chunks together and return what they end with, per frame and modality."""
+    kept, count, length = StoreChunks(old, writer.layout), len(old), writer.layout.shard_length
+
+    def chunks(modality: str, frames: range) -> list[bytes]:
+        new = range(max(0, frames.start - count), max(0, frames.stop - count))
+        there = [kept.chunk(modality, i) for i in range(frames.start, min(frames.stop, count))]
+        return there + units.chunks(modality, new)
+
+    def whole(modality: str, frames: range) -> Path | None:
+        if frames.stop <= count:
+            return kept.whole(modality, frames.start // length)
+        if frames.start < count:
+            return None
+        return units.whole(modality, range(frames.start - count, frames.stop - count))
+
+    return join_shards(writer, chunks, done, whole)
+
+
+def _check_chunks(
+    old: Store,
+    facts: Sequence[FrameFacts],
+    modalities: Sequence[str],
+    found: npt.NDArray[np.uint32],
+) -> None:
+    """Raise where a chunk is not the one that the store, or the new frame's record, names."""
+    there = old.tables.chunk_crc32c
+    new = [[frame.chunk_crc32c[m] for m in modalities] for frame in facts]
+    known = np.concatenate([found[: len(old)] if there is None else there, np.array(new, "u4")])
+    for frame, column in np.argwhere(found != known):
+        ids = [*old.ids, *(frame.id for frame in facts)]
+        raise StoreError(
+            f"{old.path}/{modalities[column]}: frame {ids[frame]!r}: expected the "
+            f"image that was stored, found another version's; {MEND}"
+        )
+
+
+def _fixed(old: Store, reader: Reader, new: Iterable[str]) -> dict[str, list[str]]:
+    """Return the frames whose split the dataset's authors chose, old and new."""
+    ours: dict[str, list[str]] = {}
+    for frame_id, split in fixed_splits(reader, new).items():
+        ours.setdefault(split, []).append(frame_id)
+    return joined_fixed([old.attributes.get("fixed_splits", {}), ours])
+
+
+def grown_splits(old: Store, reader: Reader, groups: Mapping[str, str]) -> list[str]:
+    """Return the splits of frames that join a store, by their groups.
+
+    Raises
+    ------
+    SplitError
+        The store's split rule does not fit them.
+    """
+    split = old.attributes["split"]
+    everyone = dict(zip(old.ids, old.tables.group, strict=True)) | dict(groups)
+    fixed = {i: SPLITS[name] for name, ids in _fixed(old, reader, groups).items() for i in ids}
+    splits = extend_splits(everyone, old.splits, split["rule"], split.get("seed", 0), fixed)
+    return [splits[i] for i in groups]
+
+
+def _tables(
+    old: Store, reader: Reader, facts: Sequence[FrameFacts], checksums: npt.NDArray[np.uint32]
+) -> dict[str, npt.NDArray[Any]]:
+    splits = grown_splits(old, reader, {frame.id: frame.group for frame in facts})
+    new = tables(facts, splits, old.modalities)
+    joined = {
+        name: np.concatenate([np.asarray(getattr(old.tables, name), new[name].dtype), new[name]])
+        for name in TABLES
+    }
+    return {**joined, CHUNK_CHECKSUMS: checksums}
+
+
+def _attributes(
+    old: Store, reader: Reader, records: Records, percentiles: Mapping[str, float] | None
+) -> dict[str, Any]:
+    """Return the new store's `nimprep` object."""
+    there, ids = old.attributes, [frame.id for frame in records.facts]
+    part = {
+        "frames": len(ids),
+        "dataset": there["dataset"],
+        "calibration": reader.info.calibration,
+        "tool_version": __version__,
+        "digest": source_digest(records.facts),
+    }
+    made = [*parts(there, len(old)), part]
+    metadata = joined_metadata(
+        [
+            (there.get("frame_metadata", {}), len(old)),
+            (frame_metadata(reader, ids), len(ids)),
+        ]
+    )
+    news = {*ids, *(frame.id for frame in records.skipped)}
+    skipped = [frame for frame in there.get("skipped", []) if frame["id"] not in news]
+    skipped += [asdict(frame) for frame in records.skipped]
+    extra = {
+        "fixed_splits": _fixed(old, reader, ids),
+        "frame_metadata": metadata,
+        "skipped": skipped,
+    }
+    return {
+        **{name: value for name, value in there.items() if name not in ("complete", *extra)},
+        "tool_version": __version__,
+        "calibration": {**there["calibration"], "origin": least_certain(made)},
+        **{name: value for name, value in extra.items() if value},
+        "depth_percentiles_m": percentiles if "depth" in old.modalities else None,
+        "source": joined_source(made),
+    }
