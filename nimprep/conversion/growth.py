@@ -12,13 +12,7 @@ import numpy.typing as npt
 
 from nimprep import __version__
 from nimprep.conversion.plan import Plan, fixed_splits, frame_metadata
-from nimprep.conversion.provenance import (
-    joined_fixed,
-    joined_metadata,
-    joined_source,
-    least_certain,
-    parts,
-)
+from nimprep.conversion.provenance import joined_attributes, joined_fixed, parts
 from nimprep.conversion.records import (
     FrameFacts,
     Records,
@@ -151,26 +145,13 @@ def _attributes(
         "tool_version": __version__,
         "digest": source_digest(records.facts),
     }
-    made = [*parts(there, len(old)), part]
-    metadata = joined_metadata(
-        [
-            (there.get("frame_metadata", {}), len(old)),
-            (frame_metadata(reader, ids), len(ids)),
-        ]
-    )
     news = {*ids, *(frame.id for frame in records.skipped)}
     skipped = [frame for frame in there.get("skipped", []) if frame["id"] not in news]
-    skipped += [asdict(frame) for frame in records.skipped]
-    extra = {
-        "fixed_splits": _fixed(old, reader, ids),
-        "frame_metadata": metadata,
-        "skipped": skipped,
-    }
-    return {
-        **{name: value for name, value in there.items() if name not in ("complete", *extra)},
-        "tool_version": __version__,
-        "calibration": {**there["calibration"], "origin": least_certain(made)},
-        **{name: value for name, value in extra.items() if value},
-        "depth_percentiles_m": percentiles if "depth" in old.modalities else None,
-        "source": joined_source(made),
-    }
+    joined = joined_attributes(
+        there,
+        [*parts(there, len(old)), part],
+        [_fixed(old, reader, ids)],
+        [(there.get("frame_metadata", {}), len(old)), (frame_metadata(reader, ids), len(ids))],
+        [*skipped, *map(asdict, records.skipped)],
+    )
+    return {**joined, "depth_percentiles_m": percentiles if "depth" in old.modalities else None}

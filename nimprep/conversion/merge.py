@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any
@@ -12,16 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep import __version__
 from nimprep.conversion.compatibility import check_alike, normal_dtype, padded_size, shard_length
 from nimprep.conversion.plan import warn_of_padding
-from nimprep.conversion.provenance import (
-    joined_fixed,
-    joined_metadata,
-    joined_source,
-    least_certain,
-    parts,
-)
+from nimprep.conversion.provenance import joined_attributes, parts
 from nimprep.conversion.records import depth_percentiles
 from nimprep.conversion.shard_assembly import Chunks, StoreChunks, depth_counts, join_shards
 from nimprep.conversion.workspace import (
@@ -93,160 +87,161 @@ def merge_stores(
     found = [root_digest(folder) for folder in folders]
     opened = [open_store(folder) for folder in folders]
     check_alike(opened)
-    merge = _Merge(opened, prefixes or [""] * len(opened), workers or available_cores())
-    merge.check()
+    merge = _plan(opened, prefixes or [""] * len(opened))
     start = progress or no_progress
     with open_workspace(target, overwrite=overwrite, task="merge") as workspace:
         workspace.clear()
-        writer = StoreWriter(workspace.store, merge.layout())
-        merge.write(writer, start)
+        writer = StoreWriter(workspace.store, _layout(opened))
+        _write(merge, writer, workers or available_cores(), start)
         for folder, digest in zip(folders, found, strict=True):
             check_unchanged(folder, digest)
         workspace.publish()
     return open_store(target)
 
 
+@dataclass(frozen=True)
 class _Merge:
-    """What several stores come to together."""
+    """What several stores come to together.
 
-    def __init__(self, stores: Sequence[Store], prefixes: Sequence[str], workers: int) -> None:
-        if len(prefixes) != len(stores):
-            raise StoreError(
-                f"--prefix: expected one for each of {len(stores)} stores, found {len(prefixes)}"
-            )
-        self._stores = stores
-        self._prefixes = prefixes
-        self._workers = workers
-        self._frames = sum(len(store) for store in stores)
-        self._ids = self._prefixed("frame_id")
-        self._groups = self._prefixed("group")
+    Attributes
+    ----------
+    stores : sequence of Store
+    prefixes : sequence of str
+        Put before each one's frame ids and scenes.
+    ids, groups : list of str
+        Every frame's.
+    split : dict
+        The rule that all were split by; where they differ, none made these splits.
+    """
 
-    def _prefixed(self, table: str) -> list[str]:
-        """Return every frame's text of a table; frames without a scene stay without."""
-        return [
-            f"{prefix}{text}" if text else ""
-            for store, prefix in zip(self._stores, self._prefixes, strict=True)
-            for text in getattr(store.tables, table)
-        ]
+    stores: Sequence[Store]
+    prefixes: Sequence[str]
+    ids: list[str]
+    groups: list[str]
+    split: dict[str, Any]
 
-    def check(self) -> None:
-        """Raise where two frames have one id, or a scene would straddle splits."""
-        twice = [i for i, n in Counter(self._ids).items() if n > 1]
-        if twice:
-            raise StoreError(
-                f"{self._stores[-1].path}: expected frames that no other store has, found "
-                f"{twice[0]!r} twice ({len(twice)} ids are); --prefix tells them apart"
-            )
-        if self._split()["rule"] != "group":
-            return
-        splits = chain.from_iterable(store.splits.values() for store in self._stores)
-        seen: dict[str, str] = {}
-        for group, split in zip(self._groups, splits, strict=True):
-            if seen.setdefault(group, split) != split:
-                raise SplitError(
-                    f"scene {group!r}: expected it in one split, found it in {seen[group]!r} and "
-                    f"{split!r}; split one of the stores anew, or tell scenes apart by --prefix"
-                )
 
-    def layout(self) -> StoreLayout:
-        """Return the new store's shape."""
-        first = self._stores[0]
-        codec = first.attributes["codec"]
-        if codec not in PRESETS:
-            raise StoreError(
-                f"{first.path}: expected a codec of {', '.join(PRESETS)}, found {codec!r}"
-            )
-        sizes = [padded_size(store) for store in self._stores]
-        shapes: dict[tuple[int, int], list[str]] = {}
-        for store in self._stores:
-            for size, frame_id in zip(store.tables.image_size.tolist(), store.ids, strict=True):
-                shapes.setdefault((size[0], size[1]), []).append(frame_id)
-        warn_of_padding(shapes, self._stores[0].path)
-        return StoreLayout(
-            frames=self._frames,
-            height=max(height for height, _ in sizes),
-            width=max(width for _, width in sizes),
-            modalities=first.modalities,
-            classes=first.classes,
-            normal_dtype=normal_dtype(first),
-            codec=codec,
-            shard_length=shard_length(first),
+def _plan(stores: Sequence[Store], prefixes: Sequence[str]) -> _Merge:
+    """Plan a merge; raise where two frames have one id, or a scene would straddle splits."""
+    if len(prefixes) != len(stores):
+        raise StoreError(
+            f"--prefix: expected one for each of {len(stores)} stores, found {len(prefixes)}"
         )
-
-    def write(self, writer: StoreWriter, start: Progress) -> None:
-        """Write everything."""
-        with ThreadPoolExecutor(self._workers, thread_name_prefix="nimprep") as pool:
-            chunks = self._chunks(writer.layout, pool)
-            checksums = join_shards(writer, chunks, start("merging", self._frames))
-        percentiles = None
-        if "depth" in writer.layout.modalities:
-            done = start("reading depth", self._frames)
-            counts = sum(depth_counts(store, self._workers, done) for store in self._stores)
-            percentiles = depth_percentiles(np.asarray(counts))
-        tables = {**self._tables(), CHUNK_CHECKSUMS: checksums}
-        writer.finish(tables, self._attributes(percentiles))
-
-    def _chunks(self, layout: StoreLayout, pool: ThreadPoolExecutor) -> Chunks:
-        sources = [StoreChunks(store, layout) for store in self._stores]
-        starts = [0, *accumulate(len(store) for store in self._stores)]
-
-        def chunks(modality: str, frames: range) -> list[bytes]:
-            def one(index: int) -> bytes:
-                number = int(np.searchsorted(starts, index, side="right")) - 1
-                return sources[number].chunk(modality, index - starts[number])
-
-            return list(pool.map(one, frames))
-
-        return chunks
-
-    def _tables(self) -> dict[str, npt.NDArray[Any]]:
-        found = {
-            name: np.concatenate([getattr(store.tables, name) for store in self._stores])
-            for name in TABLES
-            if name not in ("frame_id", "group")
-        }
-        return {
-            **found,
-            "frame_id": np.array(self._ids, dtype="T"),
-            "group": np.array(self._groups, dtype="T"),
-        }
-
-    def _split(self) -> dict[str, Any]:
-        """Return the rule that all were split by; where they differ, none made these splits."""
-        found: list[dict[str, Any]] = [store.attributes["split"] for store in self._stores]
-        return found[0] if all(split == found[0] for split in found) else {"rule": "file"}
-
-    def _attributes(self, percentiles: Mapping[str, float] | None) -> dict[str, Any]:
-        """Return the new store's `nimprep` object."""
-        first = self._stores[0].attributes
-        known = set(self._ids)
-        both = list(zip(self._stores, self._prefixes, strict=True))
-        made = list(chain.from_iterable(parts(s.attributes, len(s)) for s in self._stores))
-        fixed = joined_fixed(
-            [
-                {k: [prefix + i for i in ids] for k, ids in split.items()}
-                for store, prefix in both
-                if (split := store.attributes.get("fixed_splits", {}))
-            ]
+    ids, groups = (_prefixed(stores, prefixes, table) for table in ("frame_id", "group"))
+    twice = [i for i, n in Counter(ids).items() if n > 1]
+    if twice:
+        raise StoreError(
+            f"{stores[-1].path}: expected frames that no other store has, found "
+            f"{twice[0]!r} twice ({len(twice)} ids are); --prefix tells them apart"
         )
-        skipped = [
+    found: list[dict[str, Any]] = [store.attributes["split"] for store in stores]
+    split = found[0] if all(one == found[0] for one in found) else {"rule": "file"}
+    if split["rule"] == "group":
+        _check_scenes(groups, chain.from_iterable(store.splits.values() for store in stores))
+    return _Merge(stores, prefixes, ids, groups, split)
+
+
+def _prefixed(stores: Sequence[Store], prefixes: Sequence[str], table: str) -> list[str]:
+    """Return every frame's text of a table; frames without a scene stay without."""
+    return [
+        f"{prefix}{text}" if text else ""
+        for store, prefix in zip(stores, prefixes, strict=True)
+        for text in getattr(store.tables, table)
+    ]
+
+
+def _check_scenes(groups: Iterable[str], splits: Iterable[str]) -> None:
+    seen: dict[str, str] = {}
+    for group, split in zip(groups, splits, strict=True):
+        if seen.setdefault(group, split) != split:
+            raise SplitError(
+                f"scene {group!r}: expected it in one split, found it in {seen[group]!r} and "
+                f"{split!r}; split one of the stores anew, or tell scenes apart by --prefix"
+            )
+
+
+def _layout(stores: Sequence[Store]) -> StoreLayout:
+    """Return the new store's shape."""
+    first = stores[0]
+    codec = first.attributes["codec"]
+    if codec not in PRESETS:
+        raise StoreError(f"{first.path}: expected a codec of {', '.join(PRESETS)}, found {codec!r}")
+    sizes = [padded_size(store) for store in stores]
+    shapes: dict[tuple[int, int], list[str]] = {}
+    for store in stores:
+        for size, frame_id in zip(store.tables.image_size.tolist(), store.ids, strict=True):
+            shapes.setdefault((size[0], size[1]), []).append(frame_id)
+    warn_of_padding(shapes, first.path)
+    return StoreLayout(
+        frames=sum(map(len, stores)),
+        height=max(height for height, _ in sizes),
+        width=max(width for _, width in sizes),
+        modalities=first.modalities,
+        classes=first.classes,
+        normal_dtype=normal_dtype(first),
+        codec=codec,
+        shard_length=shard_length(first),
+    )
+
+
+def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) -> None:
+    frames = writer.layout.frames
+    with ThreadPoolExecutor(workers, thread_name_prefix="nimprep") as pool:
+        chunks = _chunks(merge.stores, writer.layout, pool)
+        checksums = join_shards(writer, chunks, start("merging", frames))
+    percentiles = None
+    if "depth" in writer.layout.modalities:
+        done = start("reading depth", frames)
+        counts = sum(depth_counts(store, workers, done) for store in merge.stores)
+        percentiles = depth_percentiles(np.asarray(counts))
+    tables = {**_tables(merge), CHUNK_CHECKSUMS: checksums}
+    writer.finish(tables, {**_attributes(merge), "depth_percentiles_m": percentiles})
+
+
+def _chunks(stores: Sequence[Store], layout: StoreLayout, pool: ThreadPoolExecutor) -> Chunks:
+    sources = [StoreChunks(store, layout) for store in stores]
+    starts = [0, *accumulate(map(len, stores))]
+
+    def chunks(modality: str, frames: range) -> list[bytes]:
+        def one(frame: int) -> bytes:
+            number = int(np.searchsorted(starts, frame, side="right")) - 1
+            return sources[number].chunk(modality, frame - starts[number])
+
+        return list(pool.map(one, frames))
+
+    return chunks
+
+
+def _tables(merge: _Merge) -> dict[str, npt.NDArray[Any]]:
+    ours = {"frame_id": merge.ids, "group": merge.groups}
+    return {
+        name: np.array(ours[name], dtype="T")
+        if name in ours
+        else np.concatenate([getattr(store.tables, name) for store in merge.stores])
+        for name in TABLES
+    }
+
+
+def _attributes(merge: _Merge) -> dict[str, Any]:
+    """Return the new store's `nimprep` object, but for the depth's percentiles."""
+    stores, known = merge.stores, set(merge.ids)
+    both = [(s.attributes, prefix) for s, prefix in zip(stores, merge.prefixes, strict=True)]
+    made = list(chain.from_iterable(parts(store.attributes, len(store)) for store in stores))
+    joined = joined_attributes(
+        stores[0].attributes,
+        made,
+        [
+            {split: [prefix + i for i in ids] for split, ids in there["fixed_splits"].items()}
+            for there, prefix in both
+            if "fixed_splits" in there
+        ],
+        [(store.attributes.get("frame_metadata", {}), len(store)) for store in stores],
+        [
             {**frame, "id": prefix + frame["id"]}
-            for store, prefix in both
-            for frame in store.attributes.get("skipped", [])
+            for there, prefix in both
+            for frame in there.get("skipped", [])
             if prefix + frame["id"] not in known
-        ]
-        metadata = joined_metadata(
-            [(s.attributes.get("frame_metadata", {}), len(s)) for s in self._stores]
-        )
-        extra = {"fixed_splits": fixed, "frame_metadata": metadata, "skipped": skipped}
-        names = dict.fromkeys(part["dataset"] for part in made)
-        return {
-            **{name: value for name, value in first.items() if name not in ("complete", *extra)},
-            "tool_version": __version__,
-            "dataset": "+".join(names),
-            "calibration": {**first["calibration"], "origin": least_certain(made)},
-            "split": self._split(),
-            **{name: value for name, value in extra.items() if value},
-            "depth_percentiles_m": percentiles,
-            "source": joined_source(made),
-        }
+        ],
+    )
+    names = dict.fromkeys(part["dataset"] for part in made)
+    return {**joined, "dataset": "+".join(names), "split": merge.split}

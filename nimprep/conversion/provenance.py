@@ -6,6 +6,8 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from nimprep import __version__
+
 _ORIGINS = ("nominal", "user", "file")
 """Where calibrations come from, the least certain first."""
 
@@ -23,7 +25,41 @@ def parts(attributes: Mapping[str, Any], frames: int) -> list[dict[str, Any]]:
     return [dict(part) for part in source.get("parts", [whole])]
 
 
-def joined_source(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def joined_attributes(
+    first: Mapping[str, Any],
+    made: Sequence[Mapping[str, Any]],
+    fixed: Sequence[Mapping[str, Sequence[str]]],
+    metadata: Sequence[tuple[Mapping[str, Any], int]],
+    skipped: Sequence[Mapping[str, str]],
+) -> dict[str, Any]:
+    """Return the `nimprep` object of a store that is made of parts: its first one's, but for these.
+
+    Parameters
+    ----------
+    first : mapping
+        That of the store whose frames come first.
+    made : sequence of mapping
+        The parts: see `parts`.
+    fixed, metadata : sequence
+        Each part's `fixed_splits`, and `frame_metadata` with its number of frames.
+    skipped : sequence of mapping
+        Of all parts.
+    """
+    extra = {
+        "fixed_splits": joined_fixed(fixed),
+        "frame_metadata": joined_metadata(metadata),
+        "skipped": list(skipped),
+    }
+    return {
+        **{name: value for name, value in first.items() if name not in ("complete", *extra)},
+        "tool_version": __version__,
+        "calibration": {**first["calibration"], "origin": _least_certain(made)},
+        **{name: value for name, value in extra.items() if value},
+        "source": _joined_source(made),
+    }
+
+
+def _joined_source(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the `source` of a store that is made of parts.
 
     Its digest is the SHA-256 of the parts' digests in order, each followed by a line feed.
@@ -34,7 +70,7 @@ def joined_source(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"digest": f"sha256:{digest.hexdigest()}", "parts": [dict(part) for part in found]}
 
 
-def least_certain(found: Sequence[Mapping[str, Any]]) -> str:
+def _least_certain(found: Sequence[Mapping[str, Any]]) -> str:
     """Return the calibration's origin that holds for all parts: the least certain of theirs."""
     return _ORIGINS[min(_ORIGINS.index(part["calibration"]) for part in found)]
 
