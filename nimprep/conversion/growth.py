@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep import __version__
-from nimprep.conversion.plan import Plan, fixed_splits, frame_metadata
-from nimprep.conversion.provenance import joined_attributes, joined_fixed, parts
+from nimprep.conversion.plan import Plan, fixed_by_split, fixed_splits, frame_metadata
+from nimprep.conversion.provenance import joined_attributes, parts
 from nimprep.conversion.records import (
     FrameFacts,
     Records,
@@ -98,14 +98,6 @@ def _check_chunks(
         )
 
 
-def _fixed(old: Store, reader: Reader, new: Iterable[str]) -> dict[str, list[str]]:
-    """Return the frames whose split the dataset's authors chose, old and new."""
-    ours: dict[str, list[str]] = {}
-    for frame_id, split in fixed_splits(reader, new).items():
-        ours.setdefault(split, []).append(frame_id)
-    return joined_fixed([old.attributes.get("fixed_splits", {}), ours])
-
-
 def grown_splits(old: Store, reader: Reader, groups: Mapping[str, str]) -> list[str]:
     """Return the splits of frames that join a store, by their groups.
 
@@ -116,7 +108,8 @@ def grown_splits(old: Store, reader: Reader, groups: Mapping[str, str]) -> list[
     """
     split = old.attributes["split"]
     everyone = dict(zip(old.ids, old.tables.group, strict=True)) | dict(groups)
-    fixed = {i: SPLITS[name] for name, ids in _fixed(old, reader, groups).items() for i in ids}
+    before = {i: n for n, ids in old.attributes.get("fixed_splits", {}).items() for i in ids}
+    fixed = {i: SPLITS[name] for i, name in (before | fixed_splits(reader, groups)).items()}
     splits = extend_splits(everyone, old.splits, split["rule"], split.get("seed", 0), fixed)
     return [splits[i] for i in groups]
 
@@ -150,7 +143,7 @@ def _attributes(
     joined = joined_attributes(
         there,
         [*parts(there, len(old)), part],
-        [_fixed(old, reader, ids)],
+        [there.get("fixed_splits", {}), fixed_by_split(reader, ids)],
         [(there.get("frame_metadata", {}), len(old)), (frame_metadata(reader, ids), len(ids))],
         [*skipped, *map(asdict, records.skipped)],
     )

@@ -113,10 +113,6 @@ class Plan:
         """Return what writes the store."""
         return StoreWriter(self.job.storage, self.job.layout)
 
-    def describe(self, ids: Sequence[str]) -> dict[str, Any]:
-        """Return the `nimprep` object of the store's root as far as it is known: see `describe`."""
-        return describe(self.reader, self.job.layout, self.job.options, ids)
-
 
 def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
     """Choose what to store, in the order in which it is listed everywhere.
@@ -212,6 +208,14 @@ def fixed_splits(reader: Reader, ids: Iterable[str]) -> dict[str, SplitName]:
     return {i: split for i in ids if (split := reader.fixed_split(i)) is not None}
 
 
+def fixed_by_split(reader: Reader, ids: Iterable[str]) -> dict[str, list[str]]:
+    """Return the frames that the dataset's authors put into each split."""
+    fixed: dict[str, list[str]] = {}
+    for frame_id, split in fixed_splits(reader, ids).items():
+        fixed.setdefault(split, []).append(frame_id)
+    return fixed
+
+
 def split_rule(reader: Reader, options: ConvertOptions) -> str:
     """Return the rule to split by where no file does."""
     return options.split_by or ("stratified" if fixed_splits(reader, reader.ids) else "frame")
@@ -251,9 +255,7 @@ def describe_modalities(modalities: Iterable[Modality], recipe: Recipe) -> dict[
     }
 
 
-def describe(
-    reader: Reader, layout: StoreLayout, options: ConvertOptions, ids: Sequence[str]
-) -> dict[str, Any]:
+def describe(plan: Plan, ids: Sequence[str]) -> dict[str, Any]:
     """Return the `nimprep` object of the store's root, as far as it is known beforehand.
 
     Parameters
@@ -261,10 +263,9 @@ def describe(
     ids : sequence of str
         The frames that are stored, in order.
     """
+    reader, layout, options = plan.reader, plan.job.layout, plan.job.options
     rule = {"rule": split_rule(reader, options), "seed": options.seed}
-    fixed: dict[str, list[str]] = {}
-    for frame_id, split in fixed_splits(reader, ids).items():
-        fixed.setdefault(split, []).append(frame_id)
+    fixed = fixed_by_split(reader, ids)
     margins = reader.margins if isinstance(reader, CroppedReader) else Margins(0, 0, 0, 0)
     return {
         "format_version": FORMAT_VERSION,

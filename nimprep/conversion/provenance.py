@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from nimprep import __version__
@@ -34,6 +35,8 @@ def joined_attributes(
 ) -> dict[str, Any]:
     """Return the `nimprep` object of a store that is made of parts: its first one's, but for these.
 
+    Its source's digest is the SHA-256 of the parts' digests in order, each followed by a line feed.
+
     Parameters
     ----------
     first : mapping
@@ -45,34 +48,25 @@ def joined_attributes(
     skipped : sequence of mapping
         Of all parts.
     """
+    joined: dict[str, list[str]] = {}
+    for split, ids in chain.from_iterable(of_part.items() for of_part in fixed):
+        joined.setdefault(split, []).extend(ids)
     extra = {
-        "fixed_splits": joined_fixed(fixed),
+        "fixed_splits": joined,
         "frame_metadata": joined_metadata(metadata),
         "skipped": list(skipped),
     }
+    # Of all, the least certain one's.
+    origin = min((part["calibration"] for part in made), key=_ORIGINS.index)
+    digests = "".join(f"{part['digest']}\n" for part in made)
+    digest = f"sha256:{hashlib.sha256(digests.encode()).hexdigest()}"
     return {
         **{name: value for name, value in first.items() if name not in ("complete", *extra)},
         "tool_version": __version__,
-        "calibration": {**first["calibration"], "origin": _least_certain(made)},
+        "calibration": {**first["calibration"], "origin": origin},
         **{name: value for name, value in extra.items() if value},
-        "source": _joined_source(made),
+        "source": {"digest": digest, "parts": [dict(part) for part in made]},
     }
-
-
-def _joined_source(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the `source` of a store that is made of parts.
-
-    Its digest is the SHA-256 of the parts' digests in order, each followed by a line feed.
-    """
-    digest = hashlib.sha256()
-    for part in found:
-        digest.update(f"{part['digest']}\n".encode())
-    return {"digest": f"sha256:{digest.hexdigest()}", "parts": [dict(part) for part in found]}
-
-
-def _least_certain(found: Sequence[Mapping[str, Any]]) -> str:
-    """Return the calibration's origin that holds for all parts: the least certain of theirs."""
-    return _ORIGINS[min(_ORIGINS.index(part["calibration"]) for part in found)]
 
 
 def joined_metadata(found: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
@@ -95,12 +89,3 @@ def _joined_column(found: Sequence[tuple[Mapping[str, Any] | None, int]]) -> dic
         places = [values.index(value) for value in column["values"]]
         of_frame += [places[i] for i in column["of_frame"]]
     return {"values": values, "of_frame": of_frame}
-
-
-def joined_fixed(found: Sequence[Mapping[str, Sequence[str]]]) -> dict[str, list[str]]:
-    """Return `fixed_splits`, ids by split, of them all."""
-    joined: dict[str, list[str]] = {}
-    for fixed in found:
-        for split, ids in fixed.items():
-            joined.setdefault(split, []).extend(ids)
-    return joined

@@ -15,7 +15,15 @@ from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, pack
 from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
 from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
-from nimprep.conversion.plan import Base, Job, Plan, plan_layout, plan_modalities, plan_splits
+from nimprep.conversion.plan import (
+    Base,
+    Job,
+    Plan,
+    describe,
+    plan_layout,
+    plan_modalities,
+    plan_splits,
+)
 from nimprep.conversion.records import Records, UnitRecord, depth_percentiles, source_digest, tables
 from nimprep.conversion.shard_contents import lost_units
 from nimprep.conversion.sources import frame_states, listed_state
@@ -168,7 +176,7 @@ def _is_mended(record: UnitRecord, kept: Journal, job: Job) -> bool:
 
 def _begin_store(plan: Plan) -> None:
     """Write a root that is no other's: what a cluster is late with must not come between."""
-    plan.writer().begin({**plan.describe(plan.reader.ids), "run": secrets.token_hex(8)})
+    plan.writer().begin({**describe(plan, plan.reader.ids), "run": secrets.token_hex(8)})
 
 
 def encode(plan: Plan, start: Progress) -> Records:
@@ -232,7 +240,7 @@ def finish(plan: Plan, records: Records) -> None:
     _close_gaps(plan, records)
     ids = [frame.id for frame in facts]
     attributes = {
-        **plan.describe(ids),
+        **describe(plan, ids),
         **({"skipped": [asdict(frame) for frame in skipped]} if skipped else {}),
         "depth_percentiles_m": depth_percentiles(records.depth_counts),
         "source": {"digest": source_digest(facts)},
