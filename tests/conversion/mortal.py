@@ -221,11 +221,19 @@ def _live(request: list[Any], say: int, gate: int) -> None:
 
 
 def _warm_up() -> None:
+    """Import what a task does, of which each child would else spend most of its time."""
+    import cv2  # noqa: F401
+    import jsonschema  # noqa: F401
     import numpy as np
+    import zarr  # noqa: F401
 
     import nimprep
     import nimprep.conversion.append
     import nimprep.conversion.merge
+    import nimprep.kernels.quantisation
+    import nimprep.kernels.sums
+    import nimprep.readers.folder
+    import nimprep.readers.gmrp
 
     # Whoever is killed leaves what it wrote to the system.
     os.fsync = lambda descriptor: None  # type: ignore[assignment]
