@@ -157,4 +157,4 @@ def convert(src: str, out: str, quiet: bool, allow_skipped: int, **given: Any) -
     options = nimprep.ConvertOptions(camera=camera, **given)
     store = nimprep.convert(src, out, options, progress=progress_bars(quiet))
     echo(info_text(store_info(store)), lines=True)
-    report_skipped(out, store.attributes.get("skipped", []), allow_skipped)
+    report_skipped(out, store.about.skipped, allow_skipped)

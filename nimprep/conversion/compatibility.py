@@ -31,11 +31,11 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
     StoreError
         The store is of a format or a making that this version has not.
     """
-    attributes = store.attributes
-    check_changeable(attributes["format_version"], str(store.path))
+    about = store.about
+    check_changeable(about.format_version, str(store.path))
     known = {field.name for field in fields(ConvertOptions)}
-    recipe = asdict(recipe_from(attributes["modalities"]))
-    margins = astuple(Margins(**attributes["crop"]))
+    recipe = asdict(recipe_from(about.modalities))
+    margins = astuple(Margins(**about.crop))
     options = ConvertOptions(
         **reading,
         **{name: value for name, value in recipe.items() if name in known},
@@ -43,12 +43,12 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
         crop=margins if any(margins) else None,
         modalities=store.modalities,
         normal_dtype=normal_dtype(store),
-        codec=attributes["codec"],
+        codec=about.codec,
         shard_length=shard_length(store),
     )
     held = (array.modality for array in store.arrays.values())
     described = describe_modalities(held, options.recipe)
-    found = {name: attributes["modalities"][name] for name in store.modalities}
+    found = {name: about.modalities[name] for name in store.modalities}
     for name in store.modalities:
         if described[name] != found[name]:
             raise StoreError(
@@ -96,7 +96,7 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
     StoreError
         A frame is larger than the store's images.
     """
-    name = store.attributes["dataset"]
+    name = store.about.dataset
     if reader.info.name != name:
         raise LayoutError(
             f"{reader.root}: expected frames of the dataset {name!r}, which the store's are, "
@@ -107,7 +107,7 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
             f"{reader.root}: expected the store's classes {named(store.classes)}, found "
             f"{named(reader.info.classes)}"
         )
-    crop = Margins(**store.attributes["crop"])
+    crop = Margins(**store.about.crop)
     height, width = padded_size(store)
     for frame_id in ids:
         try:
@@ -140,15 +140,15 @@ def check_alike(stores: Sequence[Store]) -> None:
     """
     first = stores[0]
     for store in stores:
-        check_changeable(store.attributes["format_version"], str(store.path))
-        a, b = first.attributes, store.attributes
-        modalities = a["modalities"].keys() | b["modalities"].keys()
+        check_changeable(store.about.format_version, str(store.path))
+        a, b = first.about, store.about
+        modalities = a.modalities.keys() | b.modalities.keys()
         found: list[tuple[str, Any, Any]] = [
             ("modalities", ", ".join(first.modalities), ", ".join(store.modalities)),
             ("classes", named(first.classes), named(store.classes)),
             ("colours", [c.color for c in first.classes], [c.color for c in store.classes]),
-            ("crop", Margins(**a["crop"]), Margins(**b["crop"])),
-            *((m, a["modalities"].get(m), b["modalities"].get(m)) for m in sorted(modalities)),
+            ("crop", Margins(**a.crop), Margins(**b.crop)),
+            *((m, a.modalities.get(m), b.modalities.get(m)) for m in sorted(modalities)),
         ]
         for what, wanted, there in found:
             if wanted != there:

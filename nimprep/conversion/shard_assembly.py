@@ -34,7 +34,7 @@ class StoreChunks:
         self._store = store
         self._layout = layout
         shape = next(iter(store.arrays.values())).shape[1:3]
-        codec = store.attributes["codec"]
+        codec = store.about.codec
         self._anew = (*shape, codec) != (layout.height, layout.width, layout.codec)
 
     def chunk(self, modality: str, index: int) -> bytes:

@@ -51,7 +51,7 @@ def write_page(
     drawn = draw_frames(store, found, ids[:worst], progress)
     context = {
         "name": printable(place_of(Path(store.path)).name),
-        "dataset": printable(str(store.attributes["dataset"])),
+        "dataset": printable(str(store.about.dataset)),
         "split": found.first.split,
         "frames": len(found.first.frames),
         "pixels": int(found.first.confusion.sum()),

@@ -79,7 +79,7 @@ def camera_document(store: Store, index: int) -> dict[str, Any]:
         **store.camera(index).to_dict(),
         **({} if math.isnan(baseline_m) else {"baseline_m": baseline_m}),
         # No part of a camera, but a nominal one should not pass for a calibration.
-        "origin": store.attributes["calibration"]["origin"],
+        "origin": store.about.calibration["origin"],
     }
 
 
@@ -97,7 +97,7 @@ def describe(store: Store, numbers: Sequence[int], camera: str) -> dict[str, Any
     document: dict[str, Any] = {
         "format": "nimprep-folder",
         "version": "1.0",
-        "name": store.attributes["dataset"],
+        "name": store.about.dataset,
         "rgb": "rgb/{id}.png",
         "depth": {"files": "depth_u16/{id}.png", "scale_m": 0.001},
         "camera": camera,

@@ -93,7 +93,7 @@ def counted(number: int, what: str = "frame") -> str:
 
 def _left_out(store: Store) -> Iterator[Finding]:
     """Yield what the conversion left out because it was bad."""
-    skipped = store.attributes.get("skipped", [])
+    skipped = store.about.skipped
     if skipped:
         named = "; ".join(f"{entry['id']} ({entry['reason']})" for entry in skipped[:5])
         more = f"; and {len(skipped) - 5} more" if len(skipped) > 5 else ""
@@ -113,7 +113,7 @@ def _shared_scenes(store: Store) -> Iterator[Finding]:
             of_scene.setdefault(group, set()).add(int(code))
     train = SPLIT_CODES["train"]
     for name, severity in (("test", "problem"), ("val", "look")):
-        if name in store.attributes.get("fixed_splits", {}):
+        if name in store.about.fixed_splits:
             severity = "look"
         shared = {g for g, codes in of_scene.items() if {train, SPLIT_CODES[name]} <= codes}
         if shared:

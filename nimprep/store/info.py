@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nimprep.splits import count_splits
+from nimprep.store.attributes import StoreAttributes
 from nimprep.store.reader import Store, open_store
 from nimprep.text import printable
 
@@ -22,27 +23,27 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         There is no store, or it is not complete.
     """
     store = path if isinstance(path, Store) else open_store(path)
-    attributes, tables = store.attributes, store.tables
+    about, tables = store.about, store.tables
     sizes = Counter((int(h), int(w)) for h, w in tables.image_size)
     return {
         "path": str(store.path),
-        "format_version": attributes["format_version"],
-        "tool_version": attributes["tool_version"],
-        "complete": attributes["complete"],
-        "dataset": attributes["dataset"],
+        "format_version": about.format_version,
+        "tool_version": about.tool_version,
+        "complete": about.complete,
+        "dataset": about.dataset,
         "frames": len(store),
         "sizes": [{"height": h, "width": w, "frames": n} for (h, w), n in sorted(sizes.items())],
-        "classes": attributes["classes"],
+        "classes": about.classes,
         "modalities": {name: _modality(store, name) for name in store.modalities},
-        "depth_percentiles_m": attributes["depth_percentiles_m"],
-        "calibration": {**attributes["calibration"], **_camera(store)},
-        "crop": attributes["crop"],
-        "codec": attributes["codec"],
-        "split": {**attributes["split"], "frames": count_splits(store.splits.values())},
+        "depth_percentiles_m": about.depth_percentiles_m,
+        "calibration": {**about.calibration, **_camera(store)},
+        "crop": about.crop,
+        "codec": about.codec,
+        "split": {**about.split, "frames": count_splits(store.splits.values())},
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
-        "depth_sources": _depth_sources(attributes),
-        "skipped": attributes.get("skipped", []),
-        "source": attributes["source"],
+        "depth_sources": _depth_sources(about),
+        "skipped": about.skipped,
+        "source": about.source,
     }
 
 
@@ -51,7 +52,7 @@ def _modality(store: Store, name: str) -> dict[str, Any]:
     stored = sum(store.storage.sizes([array.shard_key(i) for i in array.shards]).values())
     raw = int(np.prod(array.shape)) * array.dtype.itemsize
     return {
-        **store.attributes["modalities"][name],
+        **store.about.modalities[name],
         "shape": list(array.shape),
         "dtype": str(array.dtype),
         "shard_length": array.shard_length,
@@ -60,9 +61,9 @@ def _modality(store: Store, name: str) -> dict[str, Any]:
     }
 
 
-def _depth_sources(attributes: dict[str, Any]) -> dict[str, int]:
+def _depth_sources(about: StoreAttributes) -> dict[str, int]:
     """Count frames by where their depth came from, where the dataset says."""
-    column = attributes.get("frame_metadata", {}).get("depth_source")
+    column = about.frame_metadata.get("depth_source")
     if column is None:
         return {}
     values = column["values"]

@@ -15,6 +15,7 @@ from nimprep.frame import Frame, LabelClass
 from nimprep.schema import MAX_BYTES, check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
 from nimprep.store.access import storage_from
+from nimprep.store.attributes import StoreAttributes
 from nimprep.store.checksums import digest_problem
 from nimprep.store.connection import RequestError
 from nimprep.store.frame_tables import read_tables
@@ -171,6 +172,11 @@ class Store:
                 f"{self.path}: expected a split of {list(SPLIT_CODES)}, found {split!r}"
             )
         return np.flatnonzero(self.tables.split == SPLIT_CODES[split])
+
+    @property
+    def about(self) -> StoreAttributes:
+        """The `attributes`, by name and type."""
+        return StoreAttributes.from_json(self.attributes)
 
     @property
     def splits(self) -> dict[str, str]:

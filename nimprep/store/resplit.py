@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from nimprep.errors import StoreError
 from nimprep.splits import SPLIT_CODES, SplitName, assign_splits, splits_from_file
+from nimprep.store.attributes import PastSplit, Split, StoreAttributes
 from nimprep.store.checksums import chunk_checksum
 from nimprep.store.location import Place
 from nimprep.store.lock import changing
@@ -59,45 +60,43 @@ def resplit(
 def _resplit(
     store: Store, split_file: Path | str | None, rule: str | None, seed: int
 ) -> dict[str, str]:
-    check_changeable(store.attributes["format_version"], str(store.path))
+    about = store.about
+    check_changeable(about.format_version, str(store.path))
     if split_file is not None:
         splits = splits_from_file(split_file, store.ids)
-        described: dict[str, Any] = {"rule": "file"}
+        described: Split = {"rule": "file"}
     else:
         fixed: dict[str, SplitName] = {
-            frame_id: split
-            for split, ids in store.attributes.get("fixed_splits", {}).items()
-            for frame_id in ids
+            frame_id: split for split, ids in about.fixed_splits.items() for frame_id in ids
         }
         if rule is None:
-            last = store.attributes["split"]["rule"]
+            last = about.split["rule"]
             rule = "frame" if last == "file" else last
         groups = dict(zip(store.ids, store.tables.group, strict=True))
         splits = dict(assign_splits(groups, rule, seed, fixed))
         described = {"rule": rule, "seed": seed}
-    _write(store.storage, store.attributes, splits, described)
+    _write(store.storage, replace(about, split=described), about.split, splits)
     return splits
 
 
 def _write(
     storage: Storage,
-    attributes: dict[str, Any],
+    changed: StoreAttributes,
+    past: Split,
     splits: Mapping[str, str],
-    described: dict[str, Any],
 ) -> None:
     """Change table and rule in one step, whatever happens: see `nimprep.store.checksums`."""
     codes = np.array([SPLIT_CODES[name] for name in splits.values()], dtype=np.uint8)
     chunk = encode_table("split", storage.read(f"split/{ROOT}") or b"", codes)
     before, after = (chunk_checksum(c) for c in (storage.read(table_key("split")) or b"", chunk))
-    changed = {**attributes, "split": described}
-    if "tables" in attributes:
-        changed["tables"] = {**attributes["tables"], "split": after}
+    if changed.tables is not None:
+        changed = replace(changed, tables={**changed.tables, "split": after})
     if before == after:
-        write_attributes(storage, changed)
+        write_attributes(storage, changed.to_json())
         return
-    past = {**attributes["split"], "crc32c": before}
-    write_attributes(storage, {**changed, "split_before": past})
+    reminder: PastSplit = {**past, "crc32c": before}
+    write_attributes(storage, replace(changed, split_before=reminder).to_json())
     storage.write(table_key("split"), [chunk])
     # The split is changed by now, with the reminder or without.
     with suppress(StoreError):
-        write_attributes(storage, changed)
+        write_attributes(storage, changed.to_json())

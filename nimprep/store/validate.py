@@ -136,7 +136,7 @@ def check_consolidated(store: Store, report: Report) -> None:
         report.add(f"{ROOT}: expected metadata of arrays, found a name that can be none's")
     found = store.storage.read_many([f"{name}/{ROOT}" for name in names], MAX_BYTES)
     there = {name for name in names if found[f"{name}/{ROOT}"] is not None}
-    newer = store.attributes["format_version"] not in KNOWN_VERSIONS
+    newer = store.about.format_version not in KNOWN_VERSIONS
     alien = set() if newer else there & {*MODALITIES, *table_specs()} - expected
     if expected - there or alien:
         report.add(f"arrays: expected {sorted(expected)}, found {sorted(there)}")
@@ -188,13 +188,13 @@ def check_tables(store: Store, report: Report) -> None:
     unknown = set(tables.split.tolist()) - set(SPLIT_CODES.values())
     if unknown:
         report.add(f"split: expected {sorted(SPLIT_CODES.values())}, found {sorted(unknown)}")
-    if store.attributes["split"]["rule"] == "group":
+    if store.about.split["rule"] == "group":
         seen: dict[str, int] = {}
         for group, split in zip(tables.group, tables.split.tolist(), strict=True):
             if seen.setdefault(group, split) != split:
                 report.add(f"group: expected one split per group, found {group!r} in two")
                 break
-    for name, column in store.attributes.get("frame_metadata", {}).items():
+    for name, column in store.about.frame_metadata.items():
         places, count = column["of_frame"], len(column["values"])
         if len(places) != len(store) or max(places) >= count:
             report.add(f"attributes: expected one value of {name!r} per frame, found others")
@@ -206,7 +206,7 @@ def check_tables(store: Store, report: Report) -> None:
 
 
 def _tables(store: Store) -> dict[str, ArraySpec]:
-    return table_specs(store.modalities, store.attributes["format_version"])
+    return table_specs(store.modalities, store.about.format_version)
 
 
 def _check_camera(store: Store, index: int, report: Report) -> None:

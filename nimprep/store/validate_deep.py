@@ -78,7 +78,7 @@ def _frame_problems(store: Store, index: int, *, recompute: bool) -> list[str]:
 
 def _image_problems(store: Store, index: int, images: dict[str, npt.NDArray[Any]]) -> list[str]:
     """Check each image by what its modality's record says."""
-    recipe = recipe_from(store.attributes["modalities"])
+    recipe = recipe_from(store.about.modalities)
     filled = recipe.fill != "none" and not recipe.store_filled
     problems = []
     for name, image in images.items():
@@ -139,7 +139,7 @@ def _recomputed_problems(
     store: Store, index: int, images: dict[str, npt.NDArray[Any]]
 ) -> list[str]:
     """Make the derived modalities again from depth and compare; one step of rounding may differ."""
-    recipe = recipe_from(store.attributes["modalities"])
+    recipe = recipe_from(store.about.modalities)
     frame = Frame(
         id=store.ids[index],
         camera=store.camera(index),
@@ -167,7 +167,7 @@ def _recomputed_problems(
         apart = np.abs(again.astype(np.int32) - images[name]) > 1
         apart = apart.any(axis=2) if apart.ndim == 3 else apart
         if apart.any():
-            method = store.attributes["modalities"][name]["method"]
+            method = store.about.modalities[name]["method"]
             problems.append(
                 f"{name}: expected what {method!r} makes of the depth, "
                 f"found {int(apart.sum())} pixels apart"
