@@ -136,7 +136,7 @@ def append_frames(
             new = SubsetReader(reader, _new_ids(old, reader, options))
             done = Appended(old, (), len(reader.ids) - len(new.ids), ())
             if new.ids:
-                base = Base(len(old), *padded_size(old), old.attributes["source"]["digest"])
+                base = Base(len(old), *padded_size(old), old.about.source["digest"])
                 plan = make_plan(source, new, converting, workspace, start, base)
                 records = encode(plan, start)
                 ids = tuple(facts.id for facts in records.facts)
@@ -177,8 +177,7 @@ def _published(
     # The store that has its name says what came of them, and not what is left of a journal.
     ids = tuple(i for i in ours if i in there)
     existing = sum(i in there for i in reader.ids) - len(ids)
-    left_out = old.attributes.get("skipped", [])
-    skipped = tuple(SkippedFrame(**frame) for frame in left_out if frame["id"] in ours)
+    skipped = tuple(SkippedFrame(**f) for f in old.about.skipped if f["id"] in ours)
     return Appended(old, ids, existing, skipped)
 
 

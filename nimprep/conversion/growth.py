@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nimprep import __version__
-from nimprep.conversion.plan import Plan, fixed_by_split, fixed_splits, frame_metadata
-from nimprep.conversion.provenance import joined_attributes, parts
+from nimprep.conversion.plan import Plan, described, fixed_splits
+from nimprep.conversion.provenance import joined_attributes
 from nimprep.conversion.records import (
     FrameFacts,
     Records,
     depth_percentiles,
-    source_digest,
     tables,
 )
 from nimprep.conversion.shard_assembly import StoreChunks, UnitChunks, depth_counts, join_shards
@@ -54,8 +52,14 @@ def grow(
     if "depth" in old.modalities:
         done = start("reading the depth there was", len(old))
         counts = counts + depth_counts(old, plan.job.options.workers or available_cores(), done)
-    attributes = _attributes(old, plan.reader, records, depth_percentiles(counts))
-    writer.finish(_tables(old, plan.reader, records.facts, checksums), attributes)
+    new = described(plan, records)
+    news = {*(f.id for f in records.facts), *(f.id for f in records.skipped)}
+    skipped = [frame for frame in old.about.skipped if frame["id"] not in news]
+    about = joined_attributes(
+        [(replace(old.about, skipped=skipped), len(old)), (new, len(records.facts))],
+        depth_percentiles_m=depth_percentiles(counts) if "depth" in old.modalities else None,
+    )
+    writer.finish(_tables(old, plan.reader, records.facts, checksums), about)
     carry_over(Path(old.path), workspace.joined.root)
 
 
@@ -106,9 +110,9 @@ def grown_splits(old: Store, reader: Reader, groups: Mapping[str, str]) -> list[
     SplitError
         The store's split rule does not fit them.
     """
-    split = old.attributes["split"]
+    split = old.about.split
     everyone = dict(zip(old.ids, old.tables.group, strict=True)) | dict(groups)
-    before = {i: n for n, ids in old.attributes.get("fixed_splits", {}).items() for i in ids}
+    before = {i: n for n, ids in old.about.fixed_splits.items() for i in ids}
     fixed = {i: SPLITS[name] for i, name in (before | fixed_splits(reader, groups)).items()}
     splits = extend_splits(everyone, old.splits, split["rule"], split.get("seed", 0), fixed)
     return [splits[i] for i in groups]
@@ -124,27 +128,3 @@ def _tables(
         for name in TABLES
     }
     return {**joined, CHUNK_CHECKSUMS: checksums}
-
-
-def _attributes(
-    old: Store, reader: Reader, records: Records, percentiles: Mapping[str, float] | None
-) -> dict[str, Any]:
-    """Return the new store's `nimprep` object."""
-    there, ids = old.attributes, [frame.id for frame in records.facts]
-    part = {
-        "frames": len(ids),
-        "dataset": there["dataset"],
-        "calibration": reader.info.calibration,
-        "tool_version": __version__,
-        "digest": source_digest(records.facts),
-    }
-    news = {*ids, *(frame.id for frame in records.skipped)}
-    skipped = [frame for frame in there.get("skipped", []) if frame["id"] not in news]
-    joined = joined_attributes(
-        there,
-        [*parts(there, len(old)), part],
-        [there.get("fixed_splits", {}), fixed_by_split(reader, ids)],
-        [(there.get("frame_metadata", {}), len(old)), (frame_metadata(reader, ids), len(ids))],
-        [*skipped, *map(asdict, records.skipped)],
-    )
-    return {**joined, "depth_percentiles_m": percentiles if "depth" in old.modalities else None}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from nimprep.conversion.compatibility import check_alike, normal_dtype, padded_size, shard_length
 from nimprep.conversion.plan import warn_of_padding
-from nimprep.conversion.provenance import joined_attributes, parts
+from nimprep.conversion.provenance import joined_attributes
 from nimprep.conversion.records import depth_percentiles
 from nimprep.conversion.shard_assembly import Chunks, StoreChunks, depth_counts, join_shards
 from nimprep.conversion.workspace import (
@@ -27,6 +27,7 @@ from nimprep.conversion.workspace import (
 )
 from nimprep.errors import SplitError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
+from nimprep.store.attributes import Split, StoreAttributes
 from nimprep.store.reader import Store, open_store
 from nimprep.store.spec import PRESETS
 from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
@@ -118,7 +119,7 @@ class _Merge:
     prefixes: Sequence[str]
     ids: list[str]
     groups: list[str]
-    split: dict[str, Any]
+    split: Split
 
 
 def _plan(stores: Sequence[Store], prefixes: Sequence[str]) -> _Merge:
@@ -134,8 +135,8 @@ def _plan(stores: Sequence[Store], prefixes: Sequence[str]) -> _Merge:
             f"{stores[-1].path}: expected frames that no other store has, found "
             f"{twice[0]!r} twice ({len(twice)} ids are); --prefix tells them apart"
         )
-    found: list[dict[str, Any]] = [store.attributes["split"] for store in stores]
-    split = found[0] if all(one == found[0] for one in found) else {"rule": "file"}
+    found = [store.about.split for store in stores]
+    split: Split = found[0] if all(one == found[0] for one in found) else {"rule": "file"}
     if split["rule"] == "group":
         _check_scenes(groups, chain.from_iterable(store.splits.values() for store in stores))
     return _Merge(stores, prefixes, ids, groups, split)
@@ -163,7 +164,7 @@ def _check_scenes(groups: Iterable[str], splits: Iterable[str]) -> None:
 def _layout(stores: Sequence[Store]) -> StoreLayout:
     """Return the new store's shape."""
     first = stores[0]
-    codec = first.attributes["codec"]
+    codec = first.about.codec
     if codec not in PRESETS:
         raise StoreError(f"{first.path}: expected a codec of {', '.join(PRESETS)}, found {codec!r}")
     sizes = [padded_size(store) for store in stores]
@@ -195,7 +196,7 @@ def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) ->
         counts = sum(depth_counts(store, workers, done) for store in merge.stores)
         percentiles = depth_percentiles(np.asarray(counts))
     tables = {**_tables(merge), CHUNK_CHECKSUMS: checksums}
-    writer.finish(tables, {**_attributes(merge), "depth_percentiles_m": percentiles})
+    writer.finish(tables, _attributes(merge, percentiles))
 
 
 def _chunks(stores: Sequence[Store], layout: StoreLayout, pool: ThreadPoolExecutor) -> Chunks:
@@ -222,26 +223,15 @@ def _tables(merge: _Merge) -> dict[str, npt.NDArray[Any]]:
     }
 
 
-def _attributes(merge: _Merge) -> dict[str, Any]:
-    """Return the new store's `nimprep` object, but for the depth's percentiles."""
-    stores, known = merge.stores, set(merge.ids)
-    both = [(s.attributes, prefix) for s, prefix in zip(stores, merge.prefixes, strict=True)]
-    made = list(chain.from_iterable(parts(store.attributes, len(store)) for store in stores))
-    joined = joined_attributes(
-        stores[0].attributes,
-        made,
-        [
-            {split: [prefix + i for i in ids] for split, ids in there["fixed_splits"].items()}
-            for there, prefix in both
-            if "fixed_splits" in there
-        ],
-        [(store.attributes.get("frame_metadata", {}), len(store)) for store in stores],
-        [
-            {**frame, "id": prefix + frame["id"]}
-            for there, prefix in both
-            for frame in there.get("skipped", [])
-            if prefix + frame["id"] not in known
-        ],
-    )
-    names = dict.fromkeys(part["dataset"] for part in made)
-    return {**joined, "dataset": "+".join(names), "split": merge.split}
+def _attributes(merge: _Merge, percentiles: dict[str, float] | None) -> StoreAttributes:
+    """Return what is said of the new store."""
+    known, found = set(merge.ids), []
+    for store, prefix in zip(merge.stores, merge.prefixes, strict=True):
+        about = store.about
+        fixed = {k: [prefix + i for i in ids] for k, ids in about.fixed_splits.items()}
+        skipped = [{**frame, "id": prefix + frame["id"]} for frame in about.skipped]
+        left_out = [frame for frame in skipped if frame["id"] not in known]
+        found.append((replace(about, fixed_splits=fixed, skipped=left_out), len(store)))
+    joined = joined_attributes(found, split=merge.split, depth_percentiles_m=percentiles)
+    names = dict.fromkeys(part["dataset"] for part in joined.source["parts"])
+    return replace(joined, dataset="+".join(names))

@@ -11,6 +11,7 @@ from typing import Any
 from nimprep import __version__
 from nimprep.conversion.journal import Journal, option_values, units_of
 from nimprep.conversion.options import ConvertOptions
+from nimprep.conversion.records import Records, depth_percentiles, source_digest
 from nimprep.conversion.sources import FileState
 from nimprep.derive.recipe import Recipe
 from nimprep.errors import LayoutError, StoreError
@@ -19,6 +20,7 @@ from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.schema import schema_problems
 from nimprep.splits import SplitName, assign_splits, splits_from_file
+from nimprep.store.attributes import StoreAttributes
 from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.storage import Storage
 from nimprep.store.writer import StoreLayout, StoreWriter
@@ -280,3 +282,15 @@ def describe(plan: Plan, ids: Sequence[str]) -> dict[str, Any]:
         **({"fixed_splits": fixed} if fixed else {}),
         **({"frame_metadata": metadata} if (metadata := frame_metadata(reader, ids)) else {}),
     }
+
+
+def described(plan: Plan, records: Records) -> StoreAttributes:
+    """Return what the root says of a store of the plan's frames."""
+    facts = records.facts
+    return StoreAttributes(
+        **describe(plan, [frame.id for frame in facts]),
+        skipped=[asdict(frame) for frame in records.skipped],
+        depth_percentiles_m=depth_percentiles(records.depth_counts),
+        source={"digest": source_digest(facts)},
+        complete=True,
+    )

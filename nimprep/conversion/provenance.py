@@ -4,69 +4,66 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
 from nimprep import __version__
+from nimprep.splits import SplitName
+from nimprep.store.attributes import StoreAttributes
 
 _ORIGINS = ("nominal", "user", "file")
 """Where calibrations come from, the least certain first."""
 
 
-def parts(attributes: Mapping[str, Any], frames: int) -> list[dict[str, Any]]:
-    """Return the parts of a store of so many frames: what was converted or appended at once."""
-    source = attributes["source"]
-    whole = {
-        "frames": frames,
-        "dataset": attributes["dataset"],
-        "calibration": attributes["calibration"]["origin"],
-        "tool_version": attributes["tool_version"],
-        "digest": source["digest"],
-    }
-    return [dict(part) for part in source.get("parts", [whole])]
+_LAST = ("fixed_splits", "frame_metadata", "skipped", "complete", "tables", "digest")
+"""What a store's `nimprep` object ends with where frames joined it."""
 
 
 def joined_attributes(
-    first: Mapping[str, Any],
-    made: Sequence[Mapping[str, Any]],
-    fixed: Sequence[Mapping[str, Sequence[str]]],
-    metadata: Sequence[tuple[Mapping[str, Any], int]],
-    skipped: Sequence[Mapping[str, str]],
-) -> dict[str, Any]:
-    """Return the `nimprep` object of a store that is made of parts: its first one's, but for these.
+    found: Sequence[tuple[StoreAttributes, int]], **changes: Any
+) -> StoreAttributes:
+    """Return what is said of a store made of these, so many frames each: the first's, mostly.
 
     Its source's digest is the SHA-256 of the parts' digests in order, each followed by a line feed.
 
     Parameters
     ----------
-    first : mapping
-        That of the store whose frames come first.
-    made : sequence of mapping
-        The parts: see `parts`.
-    fixed, metadata : sequence
-        Each part's `fixed_splits`, and `frame_metadata` with its number of frames.
-    skipped : sequence of mapping
-        Of all parts.
+    **changes
+        Fields that are none of these stores'.
     """
-    joined: dict[str, list[str]] = {}
-    for split, ids in chain.from_iterable(of_part.items() for of_part in fixed):
-        joined.setdefault(split, []).extend(ids)
-    extra = {
-        "fixed_splits": joined,
-        "frame_metadata": joined_metadata(metadata),
-        "skipped": list(skipped),
-    }
+    first = found[0][0]
+    made = list(chain.from_iterable(_parts(about, frames) for about, frames in found))
+    fixed: dict[SplitName, list[str]] = {}
+    for split, ids in chain.from_iterable(about.fixed_splits.items() for about, _ in found):
+        fixed.setdefault(split, []).extend(ids)
     # Of all, the least certain one's.
     origin = min((part["calibration"] for part in made), key=_ORIGINS.index)
     digests = "".join(f"{part['digest']}\n" for part in made)
     digest = f"sha256:{hashlib.sha256(digests.encode()).hexdigest()}"
-    return {
-        **{name: value for name, value in first.items() if name not in ("complete", *extra)},
-        "tool_version": __version__,
-        "calibration": {**first["calibration"], "origin": origin},
-        **{name: value for name, value in extra.items() if value},
-        "source": {"digest": digest, "parts": [dict(part) for part in made]},
+    joined = replace(
+        first,
+        document={k: v for k, v in first.document.items() if k not in _LAST},
+        tool_version=__version__,
+        calibration={**first.calibration, "origin": origin},
+        fixed_splits=fixed,
+        frame_metadata=joined_metadata([(about.frame_metadata, n) for about, n in found]),
+        skipped=list(chain.from_iterable(about.skipped for about, _ in found)),
+        source={"digest": digest, "parts": made},
+    )
+    return replace(joined, **changes)
+
+
+def _parts(about: StoreAttributes, frames: int) -> list[dict[str, Any]]:
+    """Return the parts of a store of so many frames: what was converted or appended at once."""
+    whole = {
+        "frames": frames,
+        "dataset": about.dataset,
+        "calibration": about.calibration["origin"],
+        "tool_version": about.tool_version,
+        "digest": about.source["digest"],
     }
+    return about.source.get("parts", [whole])
 
 
 def joined_metadata(found: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:

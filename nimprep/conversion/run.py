@@ -20,11 +20,12 @@ from nimprep.conversion.plan import (
     Job,
     Plan,
     describe,
+    described,
     plan_layout,
     plan_modalities,
     plan_splits,
 )
-from nimprep.conversion.records import Records, UnitRecord, depth_percentiles, source_digest, tables
+from nimprep.conversion.records import Records, UnitRecord, tables
 from nimprep.conversion.shard_contents import lost_units
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import Workspace, check_apart
@@ -239,16 +240,10 @@ def finish(plan: Plan, records: Records) -> None:
         )
     _close_gaps(plan, records)
     ids = [frame.id for frame in facts]
-    attributes = {
-        **describe(plan, ids),
-        **({"skipped": [asdict(frame) for frame in skipped]} if skipped else {}),
-        "depth_percentiles_m": depth_percentiles(records.depth_counts),
-        "source": {"digest": source_digest(facts)},
-    }
     splits = plan_splits(plan.reader, plan.job.options, ids)
     layout = replace(plan.job.layout, frames=len(facts))
     writer = StoreWriter(plan.job.storage, layout)
-    writer.finish(tables(facts, splits, layout.modalities), attributes)
+    writer.finish(tables(facts, splits, layout.modalities), described(plan, records))
 
 
 def _close_gaps(plan: Plan, records: Records) -> None:

@@ -16,7 +16,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from nimprep.store.spec import FORMAT_VERSION, WITHOUT_CHECKSUMS
+from nimprep.store.spec import WITHOUT_CHECKSUMS
 
 MEND = "copy the store again, or open it again if it was replaced"
 """What to do where parts of a store do not belong together."""
@@ -28,22 +28,6 @@ _EXACT = 1 << 53
 def chunk_checksum(chunk: bytes) -> int:
     """Return the CRC-32C that a chunk ends with."""
     return int.from_bytes(chunk[-4:], "little")
-
-
-def with_checksums(attributes: Mapping[str, Any], tables: Mapping[str, bytes]) -> dict[str, Any]:
-    """Return a store's attributes with what ties its parts together.
-
-    Parameters
-    ----------
-    attributes : mapping
-        The `nimprep` object; what it says of another store's parts is left out.
-    tables : mapping of str to bytes
-        The chunk of each per-frame array.
-    """
-    found = {k: v for k, v in attributes.items() if k not in ("tables", "digest", "split_before")}
-    found["format_version"] = FORMAT_VERSION
-    found["tables"] = {name: chunk_checksum(chunk) for name, chunk in tables.items()}
-    return with_digest(found)
 
 
 def with_digest(attributes: Mapping[str, Any]) -> dict[str, Any]:

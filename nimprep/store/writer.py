@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,13 @@ from nimprep.folders import adopt, adopt_tree, place_of, refuse_inside, refuse_w
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
 from nimprep.schema import json_bytes
-from nimprep.store.checksums import with_checksums
+from nimprep.store.attributes import StoreAttributes
+from nimprep.store.checksums import chunk_checksum, with_digest
 from nimprep.store.extras import check_replaceable, discard
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, read_attributes
 from nimprep.store.shards import encode_shard
-from nimprep.store.spec import ArraySpec, ChunkCodec, chunk_codec, image_spec
+from nimprep.store.spec import FORMAT_VERSION, ArraySpec, ChunkCodec, chunk_codec, image_spec
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.swap import swap_folders
 from nimprep.store.table_specs import table_key, table_specs
@@ -224,15 +225,15 @@ class StoreWriter:
         parts = encode_shard(chunks, self.layout.shard_length)
         self.storage.write(self.shard_key(modality, shard), parts)
 
-    def finish(self, tables: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any]) -> None:
+    def finish(self, tables: Mapping[str, npt.NDArray[Any]], about: StoreAttributes) -> None:
         """Write the per-frame tables and the arrays' metadata; then the store is complete.
 
         Parameters
         ----------
         tables : mapping
             One array per name in `table_specs`, frame first.
-        attributes : mapping
-            The finished `nimprep` object; `complete` and what `with_checksums` adds do not count.
+        about : StoreAttributes
+            Of the finished store, but for its format and checksums.
         """
         import zarr
 
@@ -250,7 +251,9 @@ class StoreWriter:
         files = memory.contents()
         root = json.loads(files.pop(ROOT))
         chunks = {name: files[table_key(name)] for name in specs}
-        root["attributes"]["nimprep"] = with_checksums({**attributes, "complete": True}, chunks)
+        sums = {name: chunk_checksum(chunk) for name, chunk in chunks.items()}
+        about = replace(about, format_version=FORMAT_VERSION, complete=True, tables=sums)
+        root["attributes"]["nimprep"] = with_digest(about.to_json())
         for key, data in files.items():
             self.storage.write(key, [data])
         self.storage.write(ROOT, [json_bytes(root)])
