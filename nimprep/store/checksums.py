@@ -14,8 +14,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
+from nimprep.store.attributes import StoreAttributes
 from nimprep.store.spec import WITHOUT_CHECKSUMS
 
 MEND = "copy the store again, or open it again if it was replaced"
@@ -74,7 +76,7 @@ def digest_problem(attributes: Mapping[str, Any]) -> str | None:
     )
 
 
-def in_force(attributes: Mapping[str, Any], split_checksum: int) -> dict[str, Any]:
+def in_force(about: StoreAttributes, split_checksum: int) -> StoreAttributes:
     """Return attributes as they are in force: where a split was being changed, of the table there.
 
     Parameters
@@ -82,11 +84,11 @@ def in_force(attributes: Mapping[str, Any], split_checksum: int) -> dict[str, An
     split_checksum : int
         That the table's chunk ends with.
     """
-    found = dict(attributes)
-    before = found.pop("split_before", None)
+    before, tables = about.split_before, about.tables
+    about = replace(about, split_before=None)
     if before is None or before["crc32c"] != split_checksum:
-        return found
-    found["split"] = {k: v for k, v in before.items() if k != "crc32c"}
-    if "tables" in found:
-        found["tables"] = {**found["tables"], "split": split_checksum}
-    return found
+        return about
+    split: Any = {name: value for name, value in before.items() if name != "crc32c"}
+    if tables is not None:
+        tables = {**tables, "split": split_checksum}
+    return replace(about, split=split, tables=tables)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
+from nimprep.store.attributes import StoreAttributes
 from nimprep.store.checksums import MEND, chunk_checksum, in_force
 from nimprep.store.metadata import ROOT, read_document
 from nimprep.store.storage import Storage
@@ -41,16 +42,16 @@ class Tables:
 
 def read_tables(
     storage: Storage,
-    attributes: Mapping[str, Any],
+    about: StoreAttributes,
     modalities: Sequence[str],
     copies: Mapping[str, dict[str, Any]],
-) -> tuple[Tables, dict[str, Any]]:
+) -> tuple[Tables, StoreAttributes]:
     """Read the per-frame arrays of a store.
 
     Parameters
     ----------
-    attributes : mapping
-        The root's `nimprep` object.
+    about : StoreAttributes
+        What the root says.
     modalities : sequence of str
         All that the store has, in order.
     copies : mapping of str to dict
@@ -59,7 +60,7 @@ def read_tables(
     Returns
     -------
     Tables
-    dict
+    StoreAttributes
         The attributes that are in force with them.
 
     Raises
@@ -68,12 +69,11 @@ def read_tables(
         One is missing, damaged, another version's than the root, of another dtype or of another
         length than the others.
     """
-    specs = table_specs(modalities, attributes["format_version"])
+    specs = table_specs(modalities, about.format_version)
     keys = {name: table_key(name) for name in specs}
     read = storage.read_many(list(keys.values()), LARGEST_CHUNK)
     chunks = {name: read[key] for name, key in keys.items()}
-    found = in_force(attributes, chunk_checksum(chunks["split"] or b""))
-    own = found.get("tables")
+    about = in_force(about, chunk_checksum(chunks["split"] or b""))
     arrays: dict[str, Any] = {CHUNK_CHECKSUMS: None}
     for name, spec in specs.items():
         where = f"{storage}/{name}"
@@ -82,7 +82,7 @@ def read_tables(
             # A chunk that is gone would be all fill value to a Zarr library.
             if (chunk := chunks[name]) is None:
                 raise StoreError(f"{where}: expected its chunk, found none; {MEND}")
-            if own is not None and own.get(name) != chunk_checksum(chunk):
+            if about.tables is not None and about.tables.get(name) != chunk_checksum(chunk):
                 raise StoreError(
                     f"{where}: expected the table that the root's attributes name, found another "
                     f"version's; {MEND}"
@@ -99,7 +99,7 @@ def read_tables(
         _check_id(frame_id, storage)
     for name in ("frame_id", "group"):
         arrays[name] = tuple(str(text) for text in arrays[name])
-    return Tables(**arrays), found
+    return Tables(**arrays), about
 
 
 def _check_id(frame_id: str, storage: Storage) -> None:

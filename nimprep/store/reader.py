@@ -91,7 +91,8 @@ class Store:
         check_json(attributes, "store", f"{path}: attributes", StoreError)
         if problem := digest_problem(attributes):
             raise StoreError(f"{path}: attributes: {problem}")
-        stored = stored_modalities(attributes["modalities"])
+        about = StoreAttributes.from_json(attributes)
+        stored = stored_modalities(about.modalities)
         self.modalities = tuple(stored if modalities is None else modalities)
         for name in self.modalities:
             if name not in stored:
@@ -99,10 +100,11 @@ class Store:
                     f"{path}: expected one of the stored modalities {', '.join(stored)}, "
                     f"found {name!r}; convert again with --modalities"
                 )
-        self.tables, self.attributes = read_tables(storage, attributes, tuple(stored), copies)
+        self.tables, about = read_tables(storage, about, tuple(stored), copies)
+        self.attributes = about.to_json()
         self.ids = self.tables.frame_id
         self.classes = tuple(
-            LabelClass(c["id"], c["name"], tuple(c["color"])) for c in attributes["classes"]
+            LabelClass(c["id"], c["name"], tuple(c["color"])) for c in about.classes
         )
         own = {name: self._own_chunks(column) for column, name in enumerate(stored)}
         self.arrays = {
