@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, SupportsIndex
 
@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from nimprep.errors import ArrayError, StoreError
+from nimprep.modality import MODALITIES
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import Storage
@@ -21,6 +22,8 @@ from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
 from nimprep.torch.setups import CHANNELS, select
 from nimprep.torch.stored_images import StoredImages
+from nimprep.torch.transforms.foreign import adapted
+from nimprep.torch.transforms.geometry import check_returned
 
 Transform = Callable[[dict[str, Any]], dict[str, Any]]
 """From a sample to a sample; see `StoreDataset`."""
@@ -61,7 +64,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
         "transformed_disparity", "elevation" (1, H, W) float32 as a `Frame` has them, as far as they
         are used; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id"; "size" (height,
         width) without padding; "generator", a `torch.Generator` to draw from, seeded as
-        said above. Returns such a dict.
+        said above. Returns such a dict. One of `torchvision.transforms.v2` or albumentations 2 is
+        applied to all planes alike; see `nimprep.torch.transforms.Torchvision`.
     normals : str
         "cached" = as stored; "nim", "nim-edge" = computed by that method of `estimate_normals`
         from the stored depth as a frame is read.
@@ -120,7 +124,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
         self.indices = _frames(self.store, split)
         self.ids = tuple(self.store.ids[i] for i in self.indices)
         self.scaling = scaling_from(normalize, self.store, self.selection.images)
-        self.transform = transform
+        self.transform = None if transform is None else adapted(transform)
+        self._checked_bytes = normalize != "none"
         self.dtype = dtype
         self.seed = seed
         # In shared memory, so that workers that persist see what set_epoch says later.
@@ -174,7 +179,28 @@ class StoreDataset(Dataset[dict[str, Any]]):
         raw = self._raw(number)
         drawn = int(torch.randint(2**63 - 1, ())) if epoch is None else epoch
         raw["generator"] = torch.Generator().manual_seed(_seed(self.seed, drawn, number))
-        return self._assembled(self.transform(raw))
+        given = tuple(raw)
+        changed = self.transform(raw)
+        check_returned(changed, raw["id"], given)
+        if self._checked_bytes:
+            self._check_bytes(changed, int(self.indices[number]))
+        return self._assembled(changed)
+
+    def _check_bytes(self, changed: Mapping[str, Any], index: int) -> None:
+        """Raise where a transform has divided colours by 255 itself: they would be again."""
+        for name in self.selection.images:
+            if (
+                MODALITIES[name].values in ("colors", "levels")
+                and changed[name].is_floating_point()
+            ):
+                low, high = float(changed[name].min()), float(changed[name].max())
+                scaled = 0 < high <= 1 < self.images.image(name, index).max()
+                if low < 0 or scaled:
+                    raise ArrayError(
+                        f"frame {self.store.ids[index]!r}: expected {name} from 0 to 255 from the "
+                        f"transform, found {low:g} to {high:g}; leave scaling to normalize=, or "
+                        "turn that off with normalize='none'"
+                    )
 
     def allocate(self, count: int, *, pinned: bool = False) -> Batch:
         """Return a batch of so many frames for `fill`; without a transform only."""
@@ -224,14 +250,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
 
     def _joined(self, group: tuple[str, ...], raw: dict[str, Any]) -> Tensor:
         """Normalise the modalities of one tensor into it, one below the other."""
-        shapes = {tuple(raw[name].shape[-2:]) for name in group}
-        if len(shapes) > 1:
-            raise ArrayError(
-                f"frame {raw['id']!r}: expected images of one size from the transform, "
-                f"found {sorted(shapes)}"
-            )
         channels = [CHANNELS[name] for name in group]
-        out = torch.empty((sum(channels), *shapes.pop()), dtype=torch.float32)
+        out = torch.empty((sum(channels), *raw[group[0]].shape[-2:]), dtype=torch.float32)
         for name, part in zip(group, torch.split(out, channels), strict=True):
             self.scaling.apply(name, raw[name], part)
         return out

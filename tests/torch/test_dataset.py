@@ -38,7 +38,10 @@ def jitter(sample: dict[str, object]) -> dict[str, object]:
 def draw(sample: dict[str, object]) -> dict[str, object]:
     """Put one random number in the colours' place."""
     number = torch.rand((), generator=sample["generator"], dtype=torch.float64)
-    return {**sample, "rgb": torch.zeros_like(sample["rgb"], dtype=torch.float32) + number}
+    return {
+        **sample,
+        "rgb": torch.zeros_like(sample["rgb"], dtype=torch.float32) + 2 + 200 * number,
+    }
 
 
 def expected(frame: nimprep.Frame, name: str) -> np.ndarray:

@@ -25,10 +25,14 @@ what it is given is not changed in place. Any callable of one's own may stand am
     transform = Compose([RandomScale((0.75, 1.5)), RandomCrop(352, 640), RandomHorizontalFlip(),
                          ColorJitter(0.3, 0.3, 0.3, 0.05), my_own])
 
+Transforms of `torchvision.transforms.v2` and of albumentations 2 may stand there as they are: each
+moves all planes with one draw and changes the colours of rgb alone; see `Torchvision`.
+
 `crop`, `flip`, `resize` and `jitter` are the same without chance.
 """
 
 from nimprep.torch.transforms.color import ColorJitter, jitter
+from nimprep.torch.transforms.foreign import Albumentations, Torchvision
 from nimprep.torch.transforms.geometry import IMAGES, Sample, crop, flip, resize
 from nimprep.torch.transforms.randomly import (
     Compose,
@@ -40,6 +44,7 @@ from nimprep.torch.transforms.randomly import (
 
 __all__ = [
     "IMAGES",
+    "Albumentations",
     "ColorJitter",
     "Compose",
     "RandomCrop",
@@ -47,6 +52,7 @@ __all__ = [
     "RandomScale",
     "Resize",
     "Sample",
+    "Torchvision",
     "crop",
     "flip",
     "jitter",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import torch
@@ -34,6 +34,51 @@ def frame_size(sample: Sample) -> tuple[int, int]:
     if not (0 < height <= padded[0] and 0 < width <= padded[1]):
         raise ArrayError(f"sample: expected a size within {padded}, found {(height, width)}")
     return height, width
+
+
+def check_returned(sample: Any, frame_id: str, given: Collection[str]) -> None:
+    """Check what somebody's transform made of a sample.
+
+    Parameters
+    ----------
+    given : collection of str
+        The sample's keys before.
+
+    Raises
+    ------
+    ArrayError
+        It is no dict, lacks one of the keys, has images of several sizes, one that is no tensor or
+        of other channels, or a label of other than whole numbers from 0 to 255.
+    """
+    where = f"frame {frame_id!r}: expected"
+    if not isinstance(sample, Mapping):
+        raise ArrayError(f"{where} a dict from the transform, found {type(sample).__name__}")
+    needed = [name for name in given if name != "generator"]
+    if missing := [name for name in needed if name not in sample]:
+        raise ArrayError(f"{where} {missing[0]} from the transform, found {', '.join(sample)}")
+    images = {name: sample[name] for name in IMAGES if name in needed}
+    for name, image in images.items():
+        shape: tuple[Any, ...] = (len(MODALITIES[name].channels) or 1, "H", "W")
+        if MODALITIES[name].values == "classes":
+            shape = shape[1:]
+        if not isinstance(image, Tensor):
+            raise ArrayError(f"{where} tensors from the transform, found {name} {type(image)}")
+        if image.ndim != len(shape) or (len(shape) == 3 and len(image) != shape[0]):
+            found = tuple(image.shape)
+            raise ArrayError(f"{where} {name} {shape} from the transform, found {found}")
+    sizes = {tuple(image.shape[-2:]) for image in images.values()}
+    if len(sizes) > 1:
+        raise ArrayError(f"{where} images of one size from the transform, found {sorted(sizes)}")
+    label = images.get("label")
+    if label is not None and label.is_floating_point() and not torch.equal(label, label.round()):
+        raise ArrayError(
+            f"{where} whole numbers in label from the transform, found others; take the nearest "
+            "pixel where it is resized or turned"
+        )
+    if label is not None and label.numel() and not 0 <= label.min() <= label.max() <= 255:
+        raise ArrayError(
+            f"{where} label from 0 to 255 from the transform, found {label.min()} to {label.max()}"
+        )
 
 
 def _with_images(sample: Sample, change: Callable[[str, Tensor], Tensor]) -> Sample:

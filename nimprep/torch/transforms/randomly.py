@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from nimprep.errors import ArrayError
+from nimprep.torch.transforms.foreign import adapted
 from nimprep.torch.transforms.geometry import Sample, crop, flip, frame_size, resize
 
 
@@ -29,7 +30,7 @@ class Compose:
     Parameters
     ----------
     transforms : sequence of callables
-        Each takes a sample and returns one.
+        Each takes a sample and returns one, or is of `torchvision.transforms.v2` or albumentations.
     """
 
     transforms: Sequence[Callable[[Sample], Sample]]
@@ -37,7 +38,7 @@ class Compose:
     def __call__(self, sample: Sample) -> Sample:
         """Return the sample after the last transform."""
         for transform in self.transforms:
-            sample = transform(sample)
+            sample = adapted(transform)(sample)
         return sample
 
 
