@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,7 @@ def grow(
     workspace.joined.remove("")
     writer = StoreWriter(workspace.joined, layout)
     units = UnitChunks(workspace.store, layout, records.units)
-    checksums = _join(old, units, writer, start("joining", frames))
+    checksums = join_shards(writer, [StoreChunks(old, layout), units], start("joining", frames))
     _check_chunks(old, records.facts, layout.modalities, checksums)
     counts = records.depth_counts
     if "depth" in old.modalities:
@@ -61,27 +61,6 @@ def grow(
     )
     writer.finish(_tables(old, plan.reader, records.facts, checksums), about)
     carry_over(Path(old.path), workspace.joined.root)
-
-
-def _join(
-    old: Store, units: UnitChunks, writer: StoreWriter, done: Callable[[], None]
-) -> npt.NDArray[np.uint32]:
-    """Put old and new chunks together and return what they end with, per frame and modality."""
-    kept, count, length = StoreChunks(old, writer.layout), len(old), writer.layout.shard_length
-
-    def chunks(modality: str, frames: range) -> list[bytes]:
-        new = range(max(0, frames.start - count), max(0, frames.stop - count))
-        there = [kept.chunk(modality, i) for i in range(frames.start, min(frames.stop, count))]
-        return there + units.chunks(modality, new)
-
-    def whole(modality: str, frames: range) -> Path | None:
-        if frames.stop <= count:
-            return kept.whole(modality, frames.start // length)
-        if frames.start < count:
-            return None
-        return units.whole(modality, range(frames.start - count, frames.stop - count))
-
-    return join_shards(writer, chunks, done, whole)
 
 
 def _check_chunks(

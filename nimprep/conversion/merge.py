@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import accumulate, chain
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from nimprep.conversion.compatibility import check_alike, normal_dtype, padded_s
 from nimprep.conversion.plan import warn_of_padding
 from nimprep.conversion.provenance import joined_attributes
 from nimprep.conversion.records import depth_percentiles
-from nimprep.conversion.shard_assembly import Chunks, StoreChunks, depth_counts, join_shards
+from nimprep.conversion.shard_assembly import StoreChunks, depth_counts, join_shards
 from nimprep.conversion.workspace import (
     check_apart,
     check_unchanged,
@@ -188,7 +188,7 @@ def _layout(stores: Sequence[Store]) -> StoreLayout:
 def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) -> None:
     frames = writer.layout.frames
     with ThreadPoolExecutor(workers, thread_name_prefix="nimprep") as pool:
-        chunks = _chunks(merge.stores, writer.layout, pool)
+        chunks = [StoreChunks(store, writer.layout, pool) for store in merge.stores]
         checksums = join_shards(writer, chunks, start("merging", frames))
     percentiles = None
     if "depth" in writer.layout.modalities:
@@ -197,20 +197,6 @@ def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) ->
         percentiles = depth_percentiles(np.asarray(counts))
     tables = {**_tables(merge), CHUNK_CHECKSUMS: checksums}
     writer.finish(tables, _attributes(merge, percentiles))
-
-
-def _chunks(stores: Sequence[Store], layout: StoreLayout, pool: ThreadPoolExecutor) -> Chunks:
-    sources = [StoreChunks(store, layout) for store in stores]
-    starts = [0, *accumulate(map(len, stores))]
-
-    def chunks(modality: str, frames: range) -> list[bytes]:
-        def one(frame: int) -> bytes:
-            number = int(np.searchsorted(starts, frame, side="right")) - 1
-            return sources[number].chunk(modality, frame - starts[number])
-
-        return list(pool.map(one, frames))
-
-    return chunks
 
 
 def _tables(merge: _Merge) -> dict[str, npt.NDArray[Any]]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import groupby
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import partial
+from itertools import chain, groupby
 from operator import itemgetter
 from pathlib import Path
 
@@ -20,31 +21,41 @@ from nimprep.store.shards import encode_chunk, read_checksums, read_index, split
 from nimprep.store.storage import LocalStorage
 from nimprep.store.writer import StoreLayout, StoreWriter
 
-Chunks = Callable[[str, range], list[bytes]]
-"""Return the chunks of a modality's frames, by number, as the new store holds them."""
-
 
 class StoreChunks:
     """Hand out a store's compressed images: as they are, or made anew where the new store's differ.
 
     They do where its padded images are of another size or the codec is another.
+
+    Parameters
+    ----------
+    pool : executor, optional
+        Whose threads share the work; then no file is taken as it is.
     """
 
-    def __init__(self, store: Store, layout: StoreLayout) -> None:
+    def __init__(self, store: Store, layout: StoreLayout, pool: Executor | None = None) -> None:
         self._store = store
         self._layout = layout
+        self._pool = pool
         shape = next(iter(store.arrays.values())).shape[1:3]
         codec = store.about.codec
         self._anew = (*shape, codec) != (layout.height, layout.width, layout.codec)
 
-    def chunk(self, modality: str, index: int) -> bytes:
-        """Return a frame's chunk.
+    def __len__(self) -> int:
+        return len(self._store)
+
+    def chunks(self, modality: str, frames: range) -> list[bytes]:
+        """Return frames' chunks.
 
         Raises
         ------
         StoreError
-            It is damaged.
+            One is damaged.
         """
+        one = partial(self._chunk, modality)
+        return list(map(one, frames) if self._pool is None else self._pool.map(one, frames))
+
+    def _chunk(self, modality: str, index: int) -> bytes:
         array = self._store.arrays[modality]
         packed = None if self._anew else array.fetch(index)
         if packed is not None:
@@ -56,12 +67,15 @@ class StoreChunks:
         image[: array.shape[1], : array.shape[2]] = array.read(index)
         return encode_chunk(image, self._layout.chunk_codec(modality))
 
-    def whole(self, modality: str, shard: int) -> Path | None:
+    def whole(self, modality: str, frames: range) -> Path | None:
         """Return the file of a shard that can stay as it is; None = it lacks a chunk.
 
         Other programs leave out chunks that are all fill value; since format 1.1 none may lack.
         """
         array = self._store.arrays[modality]
+        shard = frames.start // array.shard_length
+        if self._pool is not None or len(frames) < array.shard_length:
+            return None
         if self._store.tables.chunk_crc32c is None and None in array.read_checksums(shard):
             return None
         return Path(self._store.path) / array.shard_key(shard)
@@ -85,6 +99,9 @@ class UnitChunks:
         self._writer = StoreWriter(storage, layout)
         self._places = [(r.number, n) for r in records for n in range(len(r.frames))]
         self._lengths = {r.number: len(r.frames) for r in records}
+
+    def __len__(self) -> int:
+        return len(self._places)
 
     def chunks(self, modality: str, frames: range) -> list[bytes]:
         """Return the chunks of some of the units' frames.
@@ -115,24 +132,23 @@ class UnitChunks:
         return self._storage.root / self._writer.shard_key(modality, unit)
 
 
+Chunks = StoreChunks | UnitChunks
+
+
 def join_shards(
-    writer: StoreWriter,
-    chunks: Chunks,
-    done: Callable[[], None],
-    whole: Callable[[str, range], Path | None] = lambda modality, frames: None,
+    writer: StoreWriter, parts: Sequence[Chunks], done: Callable[[], None]
 ) -> npt.NDArray[np.uint32]:
     """Write the shards of every image array; one shard at a time is held in memory.
+
+    A file that holds just what a shard is to is linked, or copied where it cannot be.
 
     Parameters
     ----------
     writer : StoreWriter
-        Its layout says how many frames there are.
-    chunks : callable
+    parts : sequence of Chunks
+        Whose frames, one after the other, the new store has.
     done : callable
         Called for each frame.
-    whole : callable, optional
-        Returns the file that holds just these frames of a modality, as the new shard is to, if
-        there is one: it is linked, or copied where it cannot be.
 
     Returns
     -------
@@ -148,10 +164,11 @@ def join_shards(
     found = np.zeros((layout.frames, len(layout.modalities)), dtype=np.uint32)
     for number, first in enumerate(range(0, layout.frames, layout.shard_length)):
         frames = range(first, min(layout.frames, first + layout.shard_length))
+        shares = list(_shares(parts, frames))
         for column, modality in enumerate(layout.modalities):
-            path = whole(modality, frames)
+            path = shares[0][0].whole(modality, shares[0][1]) if len(shares) == 1 else None
             if path is None:
-                some = chunks(modality, frames)
+                some = list(chain.from_iterable(p.chunks(modality, own) for p, own in shares))
                 writer.write_shard(modality, number, some)
                 checksums = [chunk_checksum(chunk) for chunk in some]
             else:
@@ -162,6 +179,16 @@ def join_shards(
         for _ in frames:
             done()
     return found
+
+
+def _shares(parts: Sequence[Chunks], frames: range) -> Iterator[tuple[Chunks, range]]:
+    """Yield the parts that have some of these frames, with the numbers that those have there."""
+    before = 0
+    for part in parts:
+        own = range(max(0, frames.start - before), min(len(part), frames.stop - before))
+        if own:
+            yield part, own
+        before += len(part)
 
 
 def _checksums_of(writer: StoreWriter, key: str, frames: int) -> list[int]:
