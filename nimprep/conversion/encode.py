@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from nimprep.conversion.plan import Job
 from nimprep.conversion.records import DEPTHS, FrameFacts, SkippedFrame, UnitRecord
-from nimprep.conversion.sources import FileState, changed_files, frame_digest, frame_state
+from nimprep.conversion.sources import changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError, DecodeError, NimprepError
@@ -123,9 +123,8 @@ def _encode_or_skip(job: Job, reader: Reader, frame_id: str) -> EncodedFrame | S
     NimprepError
         The frame is bad, and none may be; its id is the error's `frame_id`.
     """
-    state = job.states[frame_id]
     try:
-        return encode_frame(reader, frame_id, job.layout, job.options.recipe, state)
+        return encode_frame(job, reader, frame_id)
     except NimprepError as error:
         if job.options.on_error == "skip":
             reason = " ".join(str(error).split()).replace(f"{reader.root}/", "")
@@ -134,25 +133,15 @@ def _encode_or_skip(job: Job, reader: Reader, frame_id: str) -> EncodedFrame | S
         raise
 
 
-def encode_frame(
-    reader: Reader,
-    frame_id: str,
-    layout: StoreLayout,
-    recipe: Recipe,
-    state: tuple[FileState, ...],
-) -> EncodedFrame:
+def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     """Read one frame and make everything a store holds of it, on the calling thread alone.
-
-    Parameters
-    ----------
-    state : tuple of FileState
-        What `frame_state` said of the frame's files when the conversion began.
 
     Raises
     ------
     DecodeError
-        A file is damaged, holds what cannot be, or changed meanwhile; it is named.
+        A file is damaged, holds what cannot be, or changed since the conversion began; it is named.
     """
+    layout, recipe = job.layout, job.options.recipe
     wanted = given_for(layout.modalities)
     if recipe.fill == "colorization":
         wanted.add("rgb")
@@ -164,7 +153,7 @@ def encode_frame(
         raise DecodeError(f"frame {frame_id!r}: {error}") from error
     digest = frame_digest(reader, frame_id)
     # Asked last: then what was decoded and what was hashed are one and the same.
-    changed = changed_files(state, frame_state(reader, frame_id))
+    changed = changed_files(job.states[frame_id], frame_state(reader, frame_id))
     if changed:
         raise DecodeError(
             f"{reader.root / changed[0]}: expected a file that stays as it is, found it changed "

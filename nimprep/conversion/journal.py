@@ -151,7 +151,7 @@ class Journal:
         # Spoilt, it names nobody: then a mended file counts as changed, which is said.
         with suppress(ValueError, KeyError, TypeError):
             bad = set(unseal(self.storage.read(_FAILED) or b"")["frames"])
-        return bad | {s.id for record in self.records().values() for s in record.skipped}
+        return bad | {s.id for record in self.records() for s in record.skipped}
 
     def note_failure(self, frame_id: str) -> None:
         """Remember a frame that ended the conversion."""
@@ -166,16 +166,16 @@ class Journal:
         """Let a unit count as not done."""
         self.storage.remove(_unit_key(number))
 
-    def records(self) -> dict[int, UnitRecord]:
-        """Return the records kept, by the unit's number; what cannot be read is not done.
+    def records(self) -> list[UnitRecord]:
+        """Return the records kept, in order; what cannot be read is not done.
 
         Their histograms are left out: see `whole`.
         """
-        return {record.number: record.without_counts() for record in self._read()}
+        return [record.without_counts() for record in self._read()]
 
     def missing(self) -> list[int]:
         """Return the numbers of the plan's units that are not done."""
-        done = self.records()
+        done = {record.number for record in self._read()}
         return [number for number in range(len(self.units)) if number not in done]
 
     def whole(self) -> Records:
@@ -186,18 +186,17 @@ class Journal:
         LostRecordsError
             One is not there, or not whole: no store may be completed without it.
         """
-        records: dict[int, UnitRecord] = {}
-        total = np.zeros(DEPTHS, dtype=np.int64)
+        records, total = [], np.zeros(DEPTHS, dtype=np.int64)
         for record in self._read():
-            records[record.number] = record.without_counts()
+            records.append(record.without_counts())
             total += record.depth_counts
-        lost = [number for number in range(len(self.units)) if number not in records]
+        lost = sorted(set(range(len(self.units))) - {record.number for record in records})
         if lost or not self.units:
             raise LostRecordsError(
                 f"{self.where}: expected a whole record of each of {len(self.units)} units, "
                 f"found those of {lost} lost or damaged; the same command makes them again"
             )
-        return Records(tuple(records[number] for number in range(len(self.units))), total)
+        return Records(tuple(records), total)
 
     def _read(self) -> Iterator[UnitRecord]:
         """Yield the units' records that are whole, asked for by number: no listing is relied on."""

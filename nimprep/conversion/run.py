@@ -157,7 +157,7 @@ def _margins(reader: Reader, options: ConvertOptions, start: Progress) -> Margin
 def _forget_undone(kept: Journal, job: Job) -> None:
     """Forget the units that are to be done again, the others' shards being there."""
     writer = StoreWriter(job.storage, job.layout)
-    records = [record for _, record in sorted(kept.records().items())]
+    records = kept.records()
     again = {record.number for record in records if _is_mended(record, kept, job)}
     undone = len(records) < len(job.units())
     if again or undone or not packing_goes_on(writer, records):
@@ -215,7 +215,7 @@ def _encode(plan: Plan, todo: Sequence[int], done: Callable[[], None]) -> None:
     except (NimprepError, KeyboardInterrupt) as error:
         if isinstance(error, NimprepError) and error.frame_id is not None:
             journal.note_failure(error.frame_id)
-        if kept := sum(len(record.frames) for record in journal.records().values()):
+        if kept := sum(len(record.frames) for record in journal.records()):
             total = len(plan.reader.ids)
             error.add_note(f"{kept} of {total} frames are kept: the same command goes on from them")
         raise
