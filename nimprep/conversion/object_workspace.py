@@ -10,10 +10,9 @@ then the new ones come. Keys that are not nimprep's stay; where there are any, n
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 
 from nimprep.conversion.journal import PLAN
-from nimprep.conversion.workspace import Workspace, open_workspace
 from nimprep.errors import StoreError
 from nimprep.schema import json_bytes
 from nimprep.store.connection import RequestError
@@ -22,7 +21,6 @@ from nimprep.store.lock import hidden_objects, locked_objects
 from nimprep.store.metadata import ROOT, read_attributes, read_document
 from nimprep.store.object_lock import ObjectLock
 from nimprep.store.objects import ObjectStorage
-from nimprep.store.storage import LocalStorage
 
 
 class ObjectWorkspace:
@@ -88,15 +86,6 @@ class ObjectWorkspace:
             self._empty()
         self._stale = False
         self.journal.remove("")
-
-
-def workspace_at(
-    storage: LocalStorage | ObjectStorage, *, overwrite: bool
-) -> AbstractContextManager[Workspace]:
-    """Return the context of a place to convert in, wherever the target is."""
-    if storage.root is not None:
-        return open_workspace(storage.root, overwrite=overwrite)
-    return open_object_workspace(storage, overwrite=overwrite)
 
 
 @contextmanager

@@ -13,7 +13,6 @@ from typing import Any
 from nimprep.conversion.encode import encode_units as encode_units_here
 from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, packing_goes_on
 from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
-from nimprep.conversion.object_workspace import workspace_at
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import (
     Base,
@@ -28,7 +27,7 @@ from nimprep.conversion.plan import (
 from nimprep.conversion.records import Records, UnitRecord, tables
 from nimprep.conversion.shard_contents import lost_units
 from nimprep.conversion.sources import frame_states, listed_state
-from nimprep.conversion.workspace import Workspace, check_apart
+from nimprep.conversion.workspace import Workspace, check_apart, workspace_at
 from nimprep.errors import DecodeError, LayoutError, NimprepError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import Reader, open_reader

@@ -6,10 +6,11 @@ import hashlib
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Protocol
 
+from nimprep.conversion.object_workspace import open_object_workspace
 from nimprep.errors import StoreError
 from nimprep.files import replace_file
 from nimprep.folders import place_of, sync_tree
@@ -17,6 +18,7 @@ from nimprep.store.extras import discard
 from nimprep.store.location import location_from
 from nimprep.store.lock import LOCK, MARKER, hidden_folder, locked_folder
 from nimprep.store.metadata import ROOT
+from nimprep.store.objects import ObjectStorage
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.writer import OLD, check_target, move_into_place, put_back
 
@@ -55,6 +57,15 @@ class Workspace(Protocol):
     def publish(self) -> None:
         """Give the finished store its name; nothing else is left behind."""
         ...
+
+
+def workspace_at(
+    storage: LocalStorage | ObjectStorage, *, overwrite: bool
+) -> AbstractContextManager[Workspace]:
+    """Return the context of a place to convert in, wherever the target is."""
+    if storage.root is not None:
+        return open_workspace(storage.root, overwrite=overwrite)
+    return open_object_workspace(storage, overwrite=overwrite)
 
 
 class LocalWorkspace:
