@@ -118,9 +118,10 @@ _POOLS: dict[int, ProcessPoolExecutor] = {}
 
 
 def encode_by_processes(
-    job: Job, reader: Reader, todo: Sequence[int], workers: int, done: Callable[[], None]
+    job: Job, reader: Reader, todo: Sequence[int], done: Callable[[], None]
 ) -> Generator[UnitRecord]:
     """Encode units as `nimprep.conversion.encode.encode_units` does, by processes."""
+    workers = job.options.workers or 1
     if workers not in _POOLS:
         _POOLS[workers] = ProcessPoolExecutor(workers, get_context("spawn"))
     pool, left, waiting = _POOLS[workers], iter(todo), set[Future[UnitRecord]]()
@@ -154,12 +155,12 @@ def convert(raw: Path, target: Path, workers: int) -> None:
 
 def convert_by_processes(raw: Path, target: Path, workers: int) -> None:
     """Convert with processes in place of threads."""
-    threads = run_module.encode_units_here
-    run_module.encode_units_here = encode_by_processes
+    threads = run_module.encode_units
+    run_module.encode_units = encode_by_processes
     try:
         convert(raw, target, workers)
     finally:
-        run_module.encode_units_here = threads
+        run_module.encode_units = threads
 
 
 def measure(rows: dict[str, Callable[[int], None]], rounds: int) -> dict[tuple[str, int], Any]:

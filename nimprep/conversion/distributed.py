@@ -24,7 +24,6 @@ from nimprep.conversion.plan import Job
 from nimprep.conversion.records import UnitRecord
 from nimprep.conversion.worker import Reply, packed
 from nimprep.errors import ClusterError, NimprepError
-from nimprep.readers import Reader
 
 CONNECT_S = 10.0
 """How long a scheduler may take to answer."""
@@ -41,9 +40,7 @@ AHEAD = 2
 RETRIES = 3
 
 
-def encode_units(
-    job: Job, reader: Reader, todo: Sequence[int], workers: int, done: Callable[[], None]
-) -> Generator[UnitRecord]:
+def encode_units(job: Job, todo: Sequence[int], done: Callable[[], None]) -> Generator[UnitRecord]:
     """Encode and write units on the cluster that the job's options name; yield their records.
 
     Records come as units are finished, in any order. Held by each thread of a worker: the
@@ -51,12 +48,8 @@ def encode_units(
 
     Parameters
     ----------
-    reader : Reader
-        Not used: every worker opens its own.
     todo : sequence of int
         Units' numbers.
-    workers : int
-        Not used: the cluster has the threads it has.
     done : callable
         Called for each frame, once its unit is written.
 

@@ -19,7 +19,7 @@ from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError, DecodeError, NimprepError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, given_for
-from nimprep.parallel import in_order
+from nimprep.parallel import available_cores, in_order
 from nimprep.readers.base import Reader
 from nimprep.store.checksums import chunk_checksum
 from nimprep.store.frames import depth_from_millimetres, depth_to_millimetres, to_integers
@@ -46,7 +46,7 @@ class EncodedFrame:
 
 
 def encode_units(
-    job: Job, reader: Reader, todo: Sequence[int], workers: int, done: Callable[[], None]
+    job: Job, reader: Reader, todo: Sequence[int], done: Callable[[], None]
 ) -> Generator[UnitRecord]:
     """Encode and write units, in order; yield each one's record once its shards are written.
 
@@ -65,7 +65,7 @@ def encode_units(
     NimprepError
         A frame is bad or the disk full; the units before it have been yielded.
     """
-    units = job.units()
+    units, workers = job.units(), job.options.workers or available_cores()
     ids = [frame_id for number in todo for frame_id in units[number]]
     writing: deque[Future[UnitRecord]] = deque()
     with (

@@ -102,18 +102,7 @@ def merge_stores(
 
 @dataclass(frozen=True)
 class _Merge:
-    """What several stores come to together.
-
-    Attributes
-    ----------
-    stores : sequence of Store
-    prefixes : sequence of str
-        Put before each one's frame ids and scenes.
-    ids, groups : list of str
-        Every frame's.
-    split : dict
-        The rule that all were split by; where they differ, none made these splits.
-    """
+    """What several stores come to together: ids and groups with their store's prefix."""
 
     stores: Sequence[Store]
     prefixes: Sequence[str]
@@ -136,6 +125,7 @@ def _plan(stores: Sequence[Store], prefixes: Sequence[str]) -> _Merge:
             f"{twice[0]!r} twice ({len(twice)} ids are); --prefix tells them apart"
         )
     found = [store.about.split for store in stores]
+    # Where their rules differ, none made these splits.
     split: Split = found[0] if all(one == found[0] for one in found) else {"rule": "file"}
     if split["rule"] == "group":
         _check_scenes(groups, chain.from_iterable(store.splits.values() for store in stores))

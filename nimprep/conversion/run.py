@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import secrets
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from nimprep.conversion.encode import encode_units as encode_units_here
+from nimprep.conversion.encode import encode_units
 from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, packing_goes_on
 from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
 from nimprep.conversion.options import ConvertOptions
@@ -204,10 +204,14 @@ def encode(plan: Plan, start: Progress) -> Records:
 
 
 def _encode(plan: Plan, todo: Sequence[int], done: Callable[[], None]) -> None:
-    options, journal = plan.job.options, plan.journal
-    workers = options.workers or available_cores()
+    job, journal = plan.job, plan.journal
     try:
-        encoding = _encoder(options)(plan.job, plan.reader, todo, workers, done)
+        if job.options.scheduler is None:
+            encoding = encode_units(job, plan.reader, todo, done)
+        else:
+            from nimprep.conversion import distributed
+
+            encoding = distributed.encode_units(job, todo, done)
         with closing(encoding):
             for record in encoding:
                 journal.record(record)
@@ -218,15 +222,6 @@ def _encode(plan: Plan, todo: Sequence[int], done: Callable[[], None]) -> None:
             total = len(plan.reader.ids)
             error.add_note(f"{kept} of {total} frames are kept: the same command goes on from them")
         raise
-
-
-def _encoder(options: ConvertOptions) -> Callable[..., Generator[UnitRecord]]:
-    """Return what encodes units: threads of this process, or a cluster's."""
-    if options.scheduler is None:
-        return encode_units_here
-    from nimprep.conversion.distributed import encode_units
-
-    return encode_units
 
 
 def finish(plan: Plan, records: Records) -> None:

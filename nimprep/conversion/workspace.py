@@ -8,9 +8,8 @@ import shutil
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Protocol
 
-from nimprep.conversion.object_workspace import open_object_workspace
+from nimprep.conversion.object_workspace import ObjectWorkspace, open_object_workspace
 from nimprep.errors import StoreError
 from nimprep.files import replace_file
 from nimprep.folders import place_of, sync_tree
@@ -19,53 +18,13 @@ from nimprep.store.location import location_from
 from nimprep.store.lock import LOCK, MARKER, hidden_folder, locked_folder
 from nimprep.store.metadata import ROOT
 from nimprep.store.objects import ObjectStorage
-from nimprep.store.storage import LocalStorage, Storage
+from nimprep.store.storage import LocalStorage
 from nimprep.store.writer import OLD, check_target, move_into_place, put_back
 
 _NOTE = "publishing"
 """Which store is being given its name, while it is."""
 
 _NOTE_FORM = re.compile(r"(store|joined) ([0-9a-f]{64})")
-
-
-class Workspace(Protocol):
-    """Offer a place for the store and one for the journal, this process's alone.
-
-    Attributes
-    ----------
-    store : Storage
-        Where the store is written.
-    journal : Storage
-        Where the journal is kept.
-    where : str
-        The target as it was named.
-    """
-
-    @property
-    def store(self) -> Storage: ...
-
-    @property
-    def journal(self) -> Storage: ...
-
-    @property
-    def where(self) -> str: ...
-
-    def clear(self) -> None:
-        """Remove what an earlier conversion left here."""
-        ...
-
-    def publish(self) -> None:
-        """Give the finished store its name; nothing else is left behind."""
-        ...
-
-
-def workspace_at(
-    storage: LocalStorage | ObjectStorage, *, overwrite: bool
-) -> AbstractContextManager[Workspace]:
-    """Return the context of a place to convert in, wherever the target is."""
-    if storage.root is not None:
-        return open_workspace(storage.root, overwrite=overwrite)
-    return open_object_workspace(storage, overwrite=overwrite)
 
 
 class LocalWorkspace:
@@ -83,6 +42,10 @@ class LocalWorkspace:
 
     Attributes
     ----------
+    store, joined, journal : LocalStorage
+        Where the store is written, where one put together with another is, and the journal's place.
+    where : str
+        The target as it was named.
     published : bool
         Whether an earlier run of the task was killed when its store had its name already.
     """
@@ -155,6 +118,18 @@ class LocalWorkspace:
                 shutil.rmtree(storage.root, ignore_errors=True)
         if self.place != self.folder and self.place.is_dir() and not any(self.place.iterdir()):
             self.place.rmdir()
+
+
+Workspace = LocalWorkspace | ObjectWorkspace
+
+
+def workspace_at(
+    storage: LocalStorage | ObjectStorage, *, overwrite: bool
+) -> AbstractContextManager[Workspace]:
+    """Return the context of a place to convert in, wherever the target is."""
+    if storage.root is not None:
+        return open_workspace(storage.root, overwrite=overwrite)
+    return open_object_workspace(storage, overwrite=overwrite)
 
 
 def check_apart(source: Path, target: Path) -> None:
