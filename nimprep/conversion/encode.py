@@ -109,10 +109,12 @@ def _write_unit(job: Job, number: int, frames: Sequence[EncodedFrame | SkippedFr
     counts = np.zeros(DEPTHS, dtype=np.int64)
     for frame in good:
         counts += frame.depth_counts
-    for modality in job.layout.modalities if good else ():
-        writer.write_shard(modality, number, [frame.chunks[modality] for frame in good])
+    indices = {
+        modality: writer.write_shard(modality, number, [frame.chunks[modality] for frame in good])
+        for modality in (job.layout.modalities if good else ())
+    }
     skipped = tuple(frame for frame in frames if isinstance(frame, SkippedFrame))
-    return UnitRecord(number, tuple(frame.facts for frame in good), skipped, counts)
+    return UnitRecord(number, tuple(frame.facts for frame in good), skipped, counts, indices)
 
 
 def _encode_or_skip(job: Job, reader: Reader, frame_id: str) -> EncodedFrame | SkippedFrame:

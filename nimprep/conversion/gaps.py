@@ -73,7 +73,7 @@ def pack_shards(writer: StoreWriter, records: Sequence[UnitRecord]) -> None:
             storage.remove(f"{modality}/c/{number}")
             storage.remove(writer.shard_key(modality, number))
     if lost := contents.keys() - held(writer, contents):
-        raise StoreError(_foreign(storage, min(lost)))
+        raise StoreError(foreign(storage, min(lost)))
     forget_packing(storage)
 
 
@@ -95,7 +95,7 @@ def _regrouped(
         chunks = [] if data is None else split_shard(data, length, f"{storage}/{key}")
         expected = [frame.chunk_crc32c[modality] for frame in record.frames]
         if [chunk_checksum(chunk) for chunk in chunks] != expected:
-            raise StoreError(_foreign(storage, key))
+            raise StoreError(foreign(storage, key))
         waiting += chunks
         while len(waiting) >= length:
             yield waiting[:length]
@@ -104,7 +104,8 @@ def _regrouped(
         yield waiting
 
 
-def _foreign(storage: Storage, key: str) -> str:
+def foreign(storage: Storage, key: str) -> str:
+    """Return what to say of a shard that is not the one that was written."""
     return (
         f"{storage}/{key}: expected a shard of the frames that were encoded, found another or "
         "none; the same command makes it again"

@@ -98,12 +98,15 @@ class UnitRecord:
     skipped : tuple of SkippedFrame
     depth_counts : (65536,) int64
         Pixels per depth in millimetres.
+    indices : dict of modality to int
+        What each shard's index, and so the shard, ends with.
     """
 
     number: int
     frames: tuple[FrameFacts, ...]
     skipped: tuple[SkippedFrame, ...]
     depth_counts: npt.NDArray[np.int64]
+    indices: dict[str, int]
 
     def to_json(self, plan: str = "") -> bytes:
         """Return the record as a sealed JSON document; floats keep every digit.
@@ -120,6 +123,7 @@ class UnitRecord:
             "frames": [asdict(frame) for frame in self.frames],
             "skipped": [asdict(frame) for frame in self.skipped],
             "depth_counts": base64.b64encode(counts).decode(),
+            "indices": self.indices,
         }
         return seal(document)
 
@@ -143,6 +147,7 @@ class UnitRecord:
             frames=tuple(FrameFacts(**frame) for frame in document["frames"]),
             skipped=tuple(SkippedFrame(**frame) for frame in document["skipped"]),
             depth_counts=np.frombuffer(counts, dtype="<i8").astype(np.int64),
+            indices=document["indices"],
         )
 
     def without_counts(self) -> UnitRecord:

@@ -11,7 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from nimprep.conversion.encode import encode_units
-from nimprep.conversion.gaps import forget_packing, is_packed, pack_shards, packing_goes_on
+from nimprep.conversion.gaps import (
+    foreign,
+    forget_packing,
+    is_packed,
+    pack_shards,
+    packing_goes_on,
+)
 from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import (
@@ -25,10 +31,10 @@ from nimprep.conversion.plan import (
     plan_splits,
 )
 from nimprep.conversion.records import Records, UnitRecord, tables
-from nimprep.conversion.shard_contents import lost_units
+from nimprep.conversion.shard_contents import changed_shards, lost_units
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import Workspace, check_apart, workspace_at
-from nimprep.errors import DecodeError, LayoutError, NimprepError
+from nimprep.errors import DecodeError, LayoutError, NimprepError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
@@ -182,12 +188,12 @@ def _begin_store(plan: Plan) -> None:
 def encode(plan: Plan, start: Progress) -> Records:
     """Encode and write the units that are not done yet; return the records of all.
 
-    A unit whose record was spoilt since is done again, once.
+    A unit whose record or shard was spoilt since is done again, once.
 
     Raises
     ------
     NimprepError
-        A frame is bad, the disk full, or a record cannot be kept.
+        A frame is bad, the disk full, or a record or a shard cannot be kept.
     """
     units, todo = plan.job.units(), plan.journal.missing()
     total = len(plan.reader.ids)
@@ -197,10 +203,27 @@ def encode(plan: Plan, start: Progress) -> Records:
         done()
     _encode(plan, todo, done)
     try:
-        return plan.journal.whole()
+        records = plan.journal.whole()
     except LostRecordsError:
-        _encode(plan, plan.journal.missing(), lambda: None)
-        return plan.journal.whole()
+        records = _again(plan)
+    if changed := _changed_shards(plan, records):
+        for number in set(changed.values()):
+            plan.journal.forget(number)
+        records = _again(plan)
+        if changed := _changed_shards(plan, records):
+            raise StoreError(foreign(plan.job.storage, min(changed)))
+    return records
+
+
+def _again(plan: Plan) -> Records:
+    _encode(plan, plan.journal.missing(), lambda: None)
+    return plan.journal.whole()
+
+
+def _changed_shards(plan: Plan, records: Records) -> dict[str, int]:
+    found = changed_shards(plan.writer(), records.units)
+    # Those that were moved up into the gaps already are looked at when that goes on.
+    return {} if found and packing_goes_on(plan.writer(), records.units) else found
 
 
 def _encode(plan: Plan, todo: Sequence[int], done: Callable[[], None]) -> None:

@@ -53,6 +53,51 @@ def lost_units(writer: StoreWriter, records: Sequence[UnitRecord]) -> set[int]:
     return {r.number for r in records if not unit_contents(writer, [r]).keys() <= there}
 
 
+def changed_shards(writer: StoreWriter, records: Sequence[UnitRecord]) -> dict[str, int]:
+    """Return the keys of the shards of units that no longer end as they were written, and whose.
+
+    One read of each: its end holds the places and lengths of all its chunks, their checksum, and
+    before it what the last chunk ends with.
+
+    Raises
+    ------
+    StoreError
+        The place cannot be reached.
+    """
+    asked = [
+        (writer.shard_key(modality, record.number), record.number, checksum, last[modality])
+        for record in records
+        if record.frames
+        for last in [record.frames[-1].chunk_crc32c]
+        for modality, checksum in record.indices.items()
+    ]
+
+    def ends_so(key: str, checksum: int, last: int) -> bool:
+        data = _read_end(writer.storage, key, writer.layout.shard_length)
+        return data is not None and (data[:4], data[-4:]) == (
+            last.to_bytes(4, "little"),
+            checksum.to_bytes(4, "little"),
+        )
+
+    same = map_in_order(lambda one: ends_so(one[0], *one[2:]), asked, _AT_ONCE)
+    return {key: unit for (key, unit, *_), kept in zip(asked, same, strict=True) if not kept}
+
+
+def _read_end(storage: Storage, key: str, length: int) -> bytes | None:
+    """Return a shard's index, with the four bytes before it; None = it has no whole one."""
+    size = index_size(length)
+    try:
+        data, end = storage.read_tail(key, size + 4)
+        parse_index(data[-size:], length, end, f"{storage}/{key}")
+    except RequestError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        return None
+    except StoreError:
+        return None
+    return data
+
+
 def held(writer: StoreWriter, contents: Contents, below: str = "") -> set[str]:
     """Return the keys, of these, of the shards that hold just these chunks.
 

@@ -220,10 +220,11 @@ class StoreWriter:
     def _rest(self, modality: str) -> list[str]:
         return ["0"] * (len(self.layout.spec(modality).dims) - 1)
 
-    def write_shard(self, modality: str, shard: int, chunks: Sequence[bytes]) -> None:
-        """Write the file of one shard of one modality from its encoded chunks."""
+    def write_shard(self, modality: str, shard: int, chunks: Sequence[bytes]) -> int:
+        """Write one shard of one modality from its encoded chunks; return its index's checksum."""
         parts = encode_shard(chunks, self.layout.shard_length)
         self.storage.write(self.shard_key(modality, shard), parts)
+        return chunk_checksum(parts[-1])
 
     def finish(self, tables: Mapping[str, npt.NDArray[Any]], about: StoreAttributes) -> None:
         """Write the per-frame tables and the arrays' metadata; then the store is complete.

@@ -11,10 +11,12 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import nimprep
+from nimprep.conversion.journal import Journal
 from nimprep.errors import DecodeError, LayoutError, SplitError, StoreError
 from nimprep.store import connection, object_lock
 from nimprep.store.objects import ObjectStorage
@@ -453,6 +455,36 @@ def test_no_listing_has_to_be_right(
         patch.setattr(ObjectStorage, "keys", lambda self, prefix="": [])
         nimprep.convert(source, url, **options)
     assert below(url) == contents(tmp_path / "here.zarr")
+
+
+@pytest.mark.parametrize("fault", ["none", "gone", "cut short", "another's"])
+def test_a_shard_that_is_spoilt_before_the_end_is_made_again_for_one_request_a_shard(
+    fault: str, url: str, raw: Path, local: Path, proxy: Proxy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place, done, whole = "label/c/{}/0/0".format, [], Journal.whole
+
+    def spoilt(self: Journal) -> Any:
+        if done:
+            return whole(self)
+        done.append(self)
+        storage = ObjectStorage(url)
+        data, other = storage.read(place(1)), storage.read(place(2))
+        assert data is not None
+        assert other is not None
+        if fault == "gone":
+            storage.remove(place(1))
+        elif fault != "none":
+            storage.write(place(1), [data[:-9] if fault == "cut short" else other])
+        proxy.forget()
+        return whole(self)
+
+    monkeypatch.setattr(Journal, "whole", spoilt)
+    nimprep.convert(raw, url, **OPTIONS)
+    shards = [r for r in proxy.requests if r.span is not None]
+    if fault == "none":
+        assert len(shards) == 4 * len(nimprep.open_store(local).modalities)
+        assert {r.span for r in shards} == {"bytes=-40"}
+    assert below(url) == contents(local)
 
 
 @pytest.mark.parametrize("number", range(4))

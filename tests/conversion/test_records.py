@@ -158,6 +158,76 @@ def test_a_shard_spoilt_while_nothing_runs_is_made_again(
         assert contents(tmp_path / f"{name}.zarr") == contents(expected)
 
 
+SHARD_DAMAGES = {k: DAMAGES[k] for k in ("cut short", "empty", "gone", "another unit's")} | {
+    "one byte of the index": lambda shard, other: change(shard, -9),
+    "what its last image ends with": lambda shard, other: change(shard, -16 * LENGTH - 5),
+    "exchanged": swap,
+}
+
+
+def change(path: Path, place: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("modality", ["rgb", "label"])
+@pytest.mark.parametrize("kind", SHARD_DAMAGES)
+def test_a_shard_spoilt_before_the_end_is_made_again(
+    kind: str, modality: str, raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few, rest = write_gmrp(tmp_path / "few", 2), write_frames(tmp_path / "rest", range(2, FRAMES))
+    bad = shutil.copytree(raw, tmp_path / "bad")
+    (bad / "rgb" / "000001.png").write_bytes(b"no picture")
+    small: dict[str, Any] = {"shard_length": LENGTH, "modalities": ("rgb", "label")}
+    for name in ("grown", "grown-quiet"):
+        nimprep.convert(few, tmp_path / f"{name}.zarr", **small)
+
+    def tasks(suffix: str) -> None:
+        nimprep.convert(raw, tmp_path / f"s{suffix}.zarr", **small)
+        nimprep.convert(bad, tmp_path / f"gaps{suffix}.zarr", on_error="skip", **small)
+        append_frames(rest, tmp_path / f"grown{suffix}.zarr")
+
+    tasks("-quiet")
+    damaged: list[Path] = []
+    read = Journal.whole
+
+    def spoilt(self: Journal) -> Any:
+        journal = self.storage.root
+        assert journal is not None
+        root = journal.with_name("store")
+        if root in damaged:
+            return read(self)
+        shards = [root / modality / "c" / str(n) / "0" / "0" for n in (0, 1)]
+        first, second = ((path / "0" if path.is_dir() else path) for path in shards)
+        SHARD_DAMAGES[kind](first, second)
+        damaged.append(root)
+        return read(self)
+
+    monkeypatch.setattr(Journal, "whole", spoilt)
+    tasks("")
+    assert len(damaged) == 3
+    for name in ("s", "gaps", "grown"):
+        assert contents(tmp_path / f"{name}.zarr") == contents(tmp_path / f"{name}-quiet.zarr")
+
+
+def test_a_shard_that_is_spoilt_again_and_again_ends_it_in_one_line(
+    raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, write = tmp_path / "s.zarr", LocalStorage.write
+
+    def cutting(self: LocalStorage, key: str, parts: Any) -> None:
+        write(self, key, [parts[0][:-1]] if key.startswith("label/c/1/") else parts)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LocalStorage, "write", cutting)
+        with pytest.raises(StoreError, match=r"label/c/1/0/0: expected a shard of the frames that"):
+            nimprep.convert(raw, target, shard_length=LENGTH)
+    assert not target.exists()
+    nimprep.convert(raw, target, shard_length=LENGTH)
+    assert validate_store(target).problems == []
+
+
 def test_a_plan_whose_reading_was_cut_short_is_read_again(
     raw: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -306,9 +376,9 @@ def test_what_is_sealed_is_whole_or_refused() -> None:
 
 def test_a_record_belongs_to_its_plan_alone() -> None:
     counts = np.arange(1 << 16, dtype=np.int64)
-    record = UnitRecord(3, (), (SkippedFrame("a", "bad"),), counts)
+    record = UnitRecord(3, (), (SkippedFrame("a", "bad"),), counts, {"rgb": 7})
     again = UnitRecord.from_json(record.to_json("plan"), "plan")
-    assert (again.number, again.skipped) == (3, record.skipped)
+    assert (again.number, again.skipped, again.indices) == (3, record.skipped, {"rgb": 7})
     assert (again.depth_counts == counts).all()
     with pytest.raises(ValueError, match="expected a record of 'other'"):
         UnitRecord.from_json(record.to_json("plan"), "other")
