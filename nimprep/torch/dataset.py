@@ -14,14 +14,14 @@ from torch.utils.data import Dataset
 
 from nimprep.errors import ArrayError, StoreError
 from nimprep.modality import MODALITIES
-from nimprep.splits import SPLIT_CODES
+from nimprep.splits import SPLIT_CODES, SplitName
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import Storage
 from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
-from nimprep.torch.setups import CHANNELS, select
-from nimprep.torch.stored_images import StoredImages
+from nimprep.torch.setups import CHANNELS, Setup, select
+from nimprep.torch.stored_images import StoredImages, merged_classes
 from nimprep.torch.transforms.foreign import adapted
 from nimprep.torch.transforms.geometry import check_returned
 
@@ -72,9 +72,14 @@ class StoreDataset(Dataset[dict[str, Any]]):
     normalize : str or Scaling, optional
         None or "constants": rgb and hha divided by 255, depth by 10 m, disparity by 64 pixels,
         transformed disparity by 16, elevation by 2 m. "train": mean 0 and standard deviation 1 by
-        the train split's statistics for rgb, depth and hha, the constants for the others. "none":
+        the train split's statistics for rgb, depth and hha, the constants for the others.
+        "imagenet": rgb by the mean and deviation that encoders trained on ImageNet expect, the
+        constants for the others. "none":
         rgb and hha in 0-255, the others in metres and pixels. Where there is none of them it is 0,
         which is also the road's transformed disparity and elevation; normals stay as they are.
+    classes : mapping of str to int, optional
+        The label that each of the store's classes, by its name, becomes: 0 to 254, or 255 to be
+        ignored; "*" stands for all that are not named. None = the labels as they are stored.
     dtype : {"float32", "stored"}
         "stored": images as the store holds them, one tensor per name, for `Normalize` to do the
         float work on the device: rgb and hha (3, H, W) uint8, normal (3, H, W) int8 or int16,
@@ -103,14 +108,15 @@ class StoreDataset(Dataset[dict[str, Any]]):
     def __init__(
         self,
         path: Path | str | Storage,
-        split: str | None = "train",
-        setup: str | None = None,
+        split: SplitName | Literal["none"] | None = "train",
+        setup: Setup | None = None,
         fusion: bool = False,
         transform: Transform | None = None,
         *,
         modalities: Sequence[str] | None = None,
         normals: str = "cached",
         normalize: Normalization | Scaling | None = None,
+        classes: Mapping[str, int] | None = None,
         dtype: Literal["float32", "stored"] = "float32",
         seed: int = 0,
     ) -> None:
@@ -120,7 +126,9 @@ class StoreDataset(Dataset[dict[str, Any]]):
             raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
         self.selection = select(setup, fusion=fusion, modalities=modalities)
         self.store = open_store(path)
-        self.images = StoredImages(self.store, self.selection, normals)
+        merged = None if classes is None else merged_classes(self.store, classes)
+        self.images = StoredImages(self.store, self.selection, normals, merged)
+        self.split = split
         self.indices = _frames(self.store, split)
         self.ids = tuple(self.store.ids[i] for i in self.indices)
         self.scaling = scaling_from(normalize, self.store, self.selection.images)
@@ -134,6 +142,18 @@ class StoreDataset(Dataset[dict[str, Any]]):
 
     def __len__(self) -> int:
         return len(self.indices)
+
+    def __repr__(self) -> str:
+        """Say what a sample has and where it is from, in one line."""
+        groups = self.selection.inputs or tuple((name,) for name in self.selection.images)
+        sizes = zip(groups, self.selection.channels, strict=True)
+        tensors = " and ".join(f"{'+'.join(group)} ({count}, H, W)" for group, count in sizes)
+        height, width = self.images.size
+        label = ", label" if self.selection.label else ""
+        return (
+            f"<StoreDataset {self.store.path}: {len(self)} frames of {self.split or 'all splits'}, "
+            f"{tensors}{label}, {width}x{height}>"
+        )
 
     @property
     def epoch(self) -> int | None:

@@ -32,10 +32,10 @@ DISPARITY_SCALE_PX = MODALITIES["disparity"].divisor
 TRANSFORMED_DISPARITY_SCALE_PX = MODALITIES["transformed_disparity"].divisor
 ELEVATION_SCALE_M = MODALITIES["elevation"].divisor
 
-NAMED = ("constants", "train", "none")
+NAMED = ("constants", "train", "imagenet", "none")
 """What `normalize` can be by name."""
 
-Normalization = Literal["constants", "train", "none"]
+Normalization = Literal["constants", "train", "imagenet", "none"]
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,17 @@ class Scaling:
     def constants(cls) -> Scaling:
         """Divide rgb and hha by 255, the others by what their records say; no offsets."""
         return cls(dict(_CONSTANTS), {})
+
+    @classmethod
+    def imagenet(cls) -> Scaling:
+        """Bring rgb to what encoders trained on ImageNet expect; the others as `constants` does.
+
+        Mean (0.485, 0.456, 0.406) and standard deviation (0.229, 0.224, 0.225) of rgb in 0-1, as
+        torchvision's weights state them.
+        """
+        mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+        offset = tuple(-m / s for m, s in zip(mean, std, strict=True))
+        return cls({**_CONSTANTS, "rgb": tuple(1 / (255 * s) for s in std)}, {"rgb": offset})
 
     @classmethod
     def none(cls) -> Scaling:
@@ -151,6 +162,8 @@ def scaling_from(
         return normalize
     if normalize is None or normalize == "constants":
         return Scaling.constants()
+    if normalize == "imagenet":
+        return Scaling.imagenet()
     if normalize == "none":
         return Scaling.none()
     if normalize == "train":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES
@@ -15,7 +16,23 @@ CHANNELS: dict[str, int] = {
 }
 """Channels that each modality gives a network."""
 
-SETUPS: dict[str, tuple[str, ...]] = {
+Setup = Literal[
+    "rgb",
+    "depth",
+    "hha",
+    "rgb+d",
+    "rgb+hha",
+    "nim-depth",
+    "nim-rgb+d",
+    "disparity",
+    "t-disparity",
+    "elevation",
+    "rgb+disparity",
+    "rgb+t-disparity",
+    "rgb+elevation",
+]
+
+SETUPS: dict[Setup, tuple[str, ...]] = {
     "rgb": ("rgb",),
     "depth": ("depth",),
     "hha": ("hha",),
@@ -69,7 +86,7 @@ class Selection:
 
 
 def select(
-    setup: str | None, *, fusion: bool = False, modalities: Sequence[str] | None = None
+    setup: Setup | None, *, fusion: bool = False, modalities: Sequence[str] | None = None
 ) -> Selection:
     """Return what a setup, or a choice of modalities, puts into a sample.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from torch.utils.data import get_worker_info
 from nimprep.derive.methods import METHODS, check_method
 from nimprep.derive.normals import estimate_normals
 from nimprep.errors import ArrayError, StoreError
+from nimprep.frame import IGNORE_LABEL
 from nimprep.kernels import samples
 from nimprep.modality import MODALITIES, Modality
 from nimprep.store.buffers import empty
@@ -41,6 +43,8 @@ class StoredImages:
     selection : Selection
     normals : str
         "cached", or a method of `estimate_normals`.
+    merged : (256,) uint8, optional
+        The label that each stored one becomes.
 
     Raises
     ------
@@ -50,7 +54,13 @@ class StoredImages:
         `normals` is unknown.
     """
 
-    def __init__(self, store: Store, selection: Selection, normals: str = "cached") -> None:
+    def __init__(
+        self,
+        store: Store,
+        selection: Selection,
+        normals: str = "cached",
+        merged: npt.NDArray[np.uint8] | None = None,
+    ) -> None:
         if normals not in ("cached", *METHODS):
             known = ", ".join(("cached", *METHODS))
             raise ArrayError(f"normals: expected one of {known}, found {normals!r}")
@@ -58,6 +68,7 @@ class StoredImages:
             check_method(normals)  # compiles its kernels before workers start
         self.store = store
         self.normals = normals
+        self._merged = merged
         self._made = () if normals == "cached" else MADE
         for name in selection.images:
             needed = "depth" if name in self._made else name
@@ -91,6 +102,8 @@ class StoredImages:
             return out
         out = empty(array.shape[1:], array.dtype) if out is None else out
         array.decode(array.fetch(index), out, index)
+        if self._merged is not None and array.modality.values == "classes":
+            out[...] = self._merged[out]
         return out
 
     def scaled(self, name: str, index: int, scaling: Scaling, out: Tensor) -> None:
@@ -157,6 +170,35 @@ class StoredImages:
         padded = np.zeros((*self.size, 3), dtype=np.float32)
         padded[:height, :width] = out
         return padded
+
+
+def merged_classes(store: Store, classes: Mapping[str, int]) -> npt.NDArray[np.uint8]:
+    """Return the label that each stored one becomes, (256,), by the classes' names.
+
+    Raises
+    ------
+    ArrayError
+        The store has no class of a name, a class has no label, or a label is not 0 to 255.
+    """
+    own = {entry["name"]: int(entry["id"]) for entry in store.attributes["classes"]}
+    given = {name: label for name, label in classes.items() if name != "*"}
+    if unknown := [name for name in given if name not in own]:
+        raise ArrayError(
+            f"classes: expected some of {', '.join(own) or 'none'}, found {unknown[0]!r}"
+        )
+    left = [name for name in own if name not in given]
+    if left and "*" not in classes:
+        raise ArrayError(
+            f"classes: expected a label for each class, found none for {', '.join(left)}; name "
+            "them, or '*' for all that are not named"
+        )
+    for name, label in classes.items():
+        if isinstance(label, bool) or not isinstance(label, int) or not 0 <= label <= IGNORE_LABEL:
+            raise ArrayError(f"classes: expected 0 to 255, found {label!r} for {name!r}")
+    merged = np.full(256, IGNORE_LABEL, np.uint8)
+    for name, stored in own.items():
+        merged[stored] = given.get(name, classes.get("*", IGNORE_LABEL))
+    return merged
 
 
 def _lacking(store: Store, name: str, needed: str) -> str:

@@ -1,5 +1,6 @@
 import pickle
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ import nimprep
 from nimprep.errors import ArrayError, StoreError
 from nimprep.frame import MODALITIES, PLANES
 from nimprep.store.statistics import channel_statistics
-from nimprep.torch import StoreDataset, collate
+from nimprep.torch import StoreDataset, StoreLoader, collate
 from nimprep.torch.scaling import Scaling
-from nimprep.torch.setups import CHANNELS, SETUPS
+from nimprep.torch.setups import CHANNELS, SETUPS, Setup
 from tests.fakes import SIZE
 from tests.torch.stores import FRAMES, make_mixed_store, make_store
 
@@ -447,3 +448,60 @@ def test_a_flipped_bit_is_an_error_in_the_loop(tmp_path: Path) -> None:
     shard.write_bytes(data)
     with pytest.raises(StoreError, match="wrong checksum"):
         list(DataLoader(StoreDataset(path, None, "rgb"), batch_size=2))
+
+
+def test_classes_can_be_merged_by_name(path: Path) -> None:
+    plain = StoreDataset(path, None, "rgb")
+    for dtype in ("float32", "stored"):
+        merged = StoreDataset(
+            path,
+            None,
+            modalities=("rgb", "label"),
+            classes={"drivable area": 1, "road anomaly": 255, "*": 7},
+            dtype=dtype,
+        )
+        loader = StoreLoader(merged, 4)
+        labels = torch.cat([batch["label"] for batch in loader]).long()
+        own = torch.stack([sample["label"] for sample in plain])
+        table = torch.full((256,), 255)
+        table[:2] = torch.tensor([7, 1])
+        assert {0, 1, 2} <= set(own.unique().tolist())
+        assert torch.equal(labels, table[own])
+        assert torch.equal(merged[3]["label"].long(), table[own[3]])
+
+
+@pytest.mark.parametrize(
+    ("classes", "said"),
+    [
+        ({"road": 1, "*": 0}, "expected some of background, drivable area.*found 'road'"),
+        ({"background": 0}, "found none for drivable area, road anomaly"),
+        ({"background": 300, "*": 0}, "expected 0 to 255, found 300 for 'background'"),
+        ({"background": True, "*": 0}, "expected 0 to 255, found True"),
+        ({"*": -1}, "expected 0 to 255, found -1"),
+    ],
+)
+def test_merged_classes_are_those_of_the_store(path: Path, classes: dict, said: str) -> None:
+    with pytest.raises(ArrayError, match=f"^classes: .*{said}"):
+        StoreDataset(path, None, "rgb", classes=classes)
+
+
+def test_imagenets_statistics_scale_rgb_alone(path: Path) -> None:
+    plain = StoreDataset(path, None, "rgb+d")[0]["inputs"].double()
+    scaled = StoreDataset(path, None, "rgb+d", normalize="imagenet")[0]["inputs"].double()
+    mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+    expected = (plain[:3] - mean[:, None, None]) / std[:, None, None]
+    torch.testing.assert_close(scaled[:3], expected, atol=1e-5, rtol=0)
+    assert torch.equal(scaled[3], plain[3])
+
+
+def test_its_repr_says_what_is_in_it(path: Path) -> None:
+    assert repr(StoreDataset(path, None, "nim-rgb+d")) == (
+        f"<StoreDataset {path}: 10 frames of all splits, rgb+normal (6, H, W), label, 32x24>"
+    )
+    pair = repr(StoreDataset(path, "val", "rgb+hha", fusion=True))
+    assert "frames of val, rgb (3, H, W) and hha (3, H, W), label" in pair
+    assert "depth (1, H, W), 32x24>" in repr(StoreDataset(path, modalities=("depth",)))
+
+
+def test_the_names_a_type_checker_knows_are_the_setups() -> None:
+    assert get_args(Setup) == tuple(SETUPS)
