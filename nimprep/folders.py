@@ -282,10 +282,17 @@ def sync_folder(folder: Path) -> None:
         sync_file(folder)
 
 
+_CANNOT_SYNC = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
+"""What network and FUSE file systems answer that do not sync files, or folders: no fault."""
+
+
 def sync_file(path: Path) -> None:
-    """Put what a file holds on the disk."""
+    """Put what a file holds on the disk, where its file system has a way to."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _CANNOT_SYNC:
+            raise
     finally:
         os.close(descriptor)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import threading
@@ -30,6 +31,36 @@ WRITERS: dict[str, Callable[[Path, bytes], None]] = {
 @pytest.fixture(params=WRITERS)
 def write(request: pytest.FixtureRequest) -> Callable[[Path, bytes], None]:
     return WRITERS[request.param]
+
+
+@pytest.mark.parametrize("folders", [False, True])
+@pytest.mark.parametrize("code", ["EINVAL", "ENOSYS", "ENOTSUP", "EOPNOTSUPP", "EIO", "ENOSPC"])
+def test_a_file_system_that_syncs_nothing_is_written_to_and_a_failing_one_is_said(
+    tmp_path: Path,
+    write: Callable[[Path, bytes], None],
+    code: str,
+    folders: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    number = getattr(errno, code)
+
+    def fsync(descriptor: int) -> None:
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode) == folders:
+            raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+
+    def fill() -> None:
+        write(tmp_path / "file", b"data")
+        with whole_folder(tmp_path / "folder") as folder:
+            (folder / "file").write_bytes(b"data")
+
+    if code in ("EIO", "ENOSPC"):
+        with pytest.raises(LayoutError, match=f"expected to write it, found {os.strerror(number)}"):
+            fill()
+        return
+    fill()
+    assert names(tmp_path) == ["file", "folder", "folder/file"]
 
 
 def test_a_file_is_written_with_the_folders_above_it(

@@ -178,6 +178,12 @@ def _published(
     ids = tuple(i for i in ours if i in there)
     existing = sum(i in there for i in reader.ids) - len(ids)
     skipped = tuple(SkippedFrame(**f) for f in old.about.skipped if f["id"] in ours)
+    if lost := ours.keys() - {*ids, *(frame.id for frame in skipped)}:
+        raise StoreError(
+            f"{old.path}: expected each of {len(ours)} appended frames in it or skipped, found "
+            f"{min(lost)!r} and {len(lost) - 1} others neither; append them again with "
+            "--skip-existing"
+        )
     return Appended(old, ids, existing, skipped)
 
 

@@ -28,6 +28,7 @@ from nimprep.conversion.workspace import (
 from nimprep.errors import SplitError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.store.attributes import Split, StoreAttributes
+from nimprep.store.frame_tables import is_name
 from nimprep.store.reader import Store, open_store
 from nimprep.store.spec import PRESETS
 from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
@@ -118,6 +119,12 @@ def _plan(stores: Sequence[Store], prefixes: Sequence[str]) -> _Merge:
             f"--prefix: expected one for each of {len(stores)} stores, found {len(prefixes)}"
         )
     ids, groups = (_prefixed(stores, prefixes, table) for table in ("frame_id", "group"))
+    # Nobody could open the store.
+    if bad := next((i for i in ids if not is_name(i)), None):
+        raise StoreError(
+            "--prefix: expected one that makes names that files below a folder can have, found "
+            f"{bad!a}; give another"
+        )
     twice = [i for i, n in Counter(ids).items() if n > 1]
     if twice:
         raise StoreError(

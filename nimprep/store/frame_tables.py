@@ -96,17 +96,16 @@ def read_tables(
     if len(set(lengths.values())) != 1:
         raise StoreError(f"{storage}: expected tables of one length, found {lengths}")
     for frame_id in arrays["frame_id"]:
-        _check_id(frame_id, storage)
+        if not is_name(frame_id):
+            raise StoreError(
+                f"{storage}/frame_id: expected names that files below a folder can have, "
+                f"found {frame_id!a}; convert it again from files of other names"
+            )
     for name in ("frame_id", "group"):
         arrays[name] = tuple(str(text) for text in arrays[name])
     return Tables(**arrays), about
 
 
-def _check_id(frame_id: str, storage: Storage) -> None:
-    """Raise `StoreError` for an id that would lead elsewhere as a file's name: others write it."""
-    parts = _SLASHES.split(frame_id)
-    if not frame_id.isprintable() or not {"", ".", ".."}.isdisjoint(parts):
-        raise StoreError(
-            f"{storage}/frame_id: expected names that files below a folder can have, "
-            f"found {frame_id!a}"
-        )
+def is_name(frame_id: str) -> bool:
+    """Return whether an id leads nowhere else as a file's name: others write it."""
+    return frame_id.isprintable() and {"", ".", ".."}.isdisjoint(_SLASHES.split(frame_id))

@@ -103,6 +103,8 @@ class StoreLoader:
 
     Raises
     ------
+    TypeError
+        The dataset is no `StoreDataset`: the path of a store makes one.
     ArrayError
         A number is not positive, or `shuffle` and `sampler` are both given.
     """
@@ -124,6 +126,11 @@ class StoreLoader:
         dtype: Literal["float32", "stored"] | None = None,
         distributed: bool = True,
     ) -> None:
+        if not isinstance(dataset, StoreDataset):
+            raise TypeError(
+                f"dataset: expected a StoreDataset, found {type(dataset).__name__}; make one with "
+                "StoreDataset(store, ...), or give another dataset to torch's DataLoader"
+            )
         threads = num_threads
         if threads is None:
             threads = max(available_cores(), dataset.store.storage.parallel)

@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -131,6 +132,24 @@ def test_one_id_in_two_stores_is_refused_by_name(tmp_path: Path) -> None:
     assert validate_store(tmp_path / "m.zarr", deep=True).problems == []
     with pytest.raises(StoreError, match="expected one for each of 2 stores, found 1"):
         nimprep.merge_stores(parts, tmp_path / "n.zarr", prefixes=["a/"])
+
+
+@pytest.mark.parametrize(
+    "prefix", ["a\x1b[2J", "a\n", "/", "../", "a//", "./", "a\\..\\", "\u202e"]
+)
+def test_a_prefix_that_no_file_can_have_is_refused_before_any_work(
+    prefix: str, tmp_path: Path
+) -> None:
+    parts = [made(tmp_path, "a", range(1)), made(tmp_path, "b", range(1, 2))]
+
+    def progress(step: str, frames: int) -> Callable[[], None]:
+        raise AssertionError(f"{step} of {frames} frames was begun")
+
+    out = tmp_path / "m.zarr"
+    with pytest.raises(StoreError, match=r"--prefix: expected one .*; give another") as raised:
+        nimprep.merge_stores(parts, out, prefixes=["", prefix], progress=progress)
+    assert str(raised.value).isprintable()
+    assert not list(tmp_path.glob("*m.zarr*"))
 
 
 def test_a_scene_may_not_straddle_splits(tmp_path: Path) -> None:

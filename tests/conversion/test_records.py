@@ -14,6 +14,7 @@ from nimprep.conversion.append import append_frames
 from nimprep.conversion.journal import Journal
 from nimprep.conversion.records import SkippedFrame, UnitRecord, seal, unseal
 from nimprep.errors import StoreError
+from nimprep.store.reader import Store
 from nimprep.store.storage import LocalStorage
 from nimprep.store.validate import validate_store
 from nimprep.store.writer import StoreWriter
@@ -358,6 +359,28 @@ def test_an_append_that_was_killed_at_its_last_step_says_what_the_store_has(
     found = append_frames(rest, target)
     assert found.ids == tuple(f"{n:06d}" for n in range(1, FRAMES))
     assert len(found.store) == FRAMES
+
+
+def test_an_append_says_which_frame_came_to_be_neither_stored_nor_skipped(
+    raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, rest = tmp_path / "s.zarr", write_frames(tmp_path / "rest", range(1, 4))
+    nimprep.convert(write_gmrp(tmp_path / "few", 1), target, modalities=("rgb",))
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            append_frames(rest, target)
+
+    def lacking(place: Path) -> Store:
+        store = Store(place)
+        store.ids = store.ids[:-1]
+        return store
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nimprep.conversion.append.open_store", lacking)
+        with pytest.raises(StoreError, match=r"each of 3 appended .* found '000003' .* neither"):
+            append_frames(rest, target)
+    assert append_frames(rest, target, skip_existing=True).existing == 3
 
 
 def test_what_is_sealed_is_whole_or_refused() -> None:

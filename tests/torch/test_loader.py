@@ -2,12 +2,15 @@ import os
 import select
 import signal
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch.utils.data import DataLoader, DistributedSampler
 
+from nimprep import open_store
 from nimprep.errors import ArrayError, NimprepError, StoreError
 from nimprep.torch import StoreDataset, StoreLoader
 from tests.torch.stores import FRAMES, make_store
@@ -30,6 +33,12 @@ def ids(loader: StoreLoader) -> list[str]:
 
 def threads() -> int:
     return sum(t.name.startswith("nimprep-loader") for t in threading.enumerate())
+
+
+@pytest.mark.parametrize("kind", [str, Path, open_store, lambda path: [1, 2], lambda path: None])
+def test_what_is_no_dataset_is_told_what_makes_one(path: Path, kind: Callable[[Path], Any]) -> None:
+    with pytest.raises(TypeError, match=r"expected a StoreDataset, found \w+; make one with Store"):
+        StoreLoader(kind(path))
 
 
 @pytest.mark.parametrize("transform", [None, jitter])
