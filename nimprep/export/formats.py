@@ -17,6 +17,9 @@ from nimprep.store.reader import Store, open_store
 Format = Literal["png", "rerun", "npz"]
 FORMATS: tuple[str, ...] = get_args(Format)
 
+FrameWriter = Callable[[int, PurePosixPath], None]
+"""Write the frame of a number under a name."""
+
 
 def export_frames(
     store: Store | Path | str,
@@ -71,10 +74,14 @@ def export_frames(
     if form == "rerun":
         _export_recording(store, numbers, out, overwrite, progress)
     else:
-        write = _write_png if form == "png" else _write_npz
+        writer = _png_writer if form == "png" else _npz_writer
         files = files_of(ids, f".{form}")
         with whole_folder(out, place) as partial:
-            write(store, numbers, partial, files, progress)
+            write = writer(store, numbers, partial)
+            for _ in map_frames(
+                "export", lambda i: write(i, files[store.ids[i]]), numbers, progress
+            ):
+                pass
     return ids
 
 
@@ -88,35 +95,15 @@ def _export_recording(
         write_recording(store, numbers, partial, progress)
 
 
-def _write_png(
-    store: Store,
-    numbers: Sequence[int],
-    folder: Path,
-    files: dict[str, PurePosixPath],
-    progress: Progress | None,
-) -> None:
+def _png_writer(store: Store, numbers: Sequence[int], folder: Path) -> FrameWriter:
     from nimprep.export.png import check_modalities, write_frame, write_records
 
     check_modalities(store)
     write_records(store, numbers, folder)
-    _each(numbers, lambda i: write_frame(store, i, folder, files[store.ids[i]]), progress)
+    return lambda index, name: write_frame(store, index, folder, name)
 
 
-def _write_npz(
-    store: Store,
-    numbers: Sequence[int],
-    folder: Path,
-    files: dict[str, PurePosixPath],
-    progress: Progress | None,
-) -> None:
+def _npz_writer(store: Store, numbers: Sequence[int], folder: Path) -> FrameWriter:
     from nimprep.export.npz import frame_arrays, npz_bytes
 
-    def write(index: int) -> None:
-        write_new(folder / files[store.ids[index]], npz_bytes(frame_arrays(store, index)))
-
-    _each(numbers, write, progress)
-
-
-def _each(numbers: Sequence[int], write: Callable[[int], None], progress: Progress | None) -> None:
-    for _ in map_frames("export", write, numbers, progress):
-        pass
+    return lambda index, name: write_new(folder / name, npz_bytes(frame_arrays(store, index)))
