@@ -7,7 +7,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, runtime_checkable
+from typing import BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -50,12 +50,8 @@ class Storage(Protocol):
         """Return the last bytes under a key, and how many there are in all."""
         ...
 
-    def read_range(self, key: str, offset: int, length: int) -> bytes:
-        """Return bytes from the middle of what is under a key; fewer are an error."""
-        ...
-
     def read_ranges(self, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Return what `read_range` returns, for several offsets and lengths in rising order."""
+        """Return the bytes at these offsets, rising, of these lengths; fewer are an error."""
         ...
 
     def read_into(self, key: str, offset: int, out: npt.NDArray[np.uint8]) -> int:
@@ -87,10 +83,6 @@ class Storage(Protocol):
 
     def sizes(self, keys: Sequence[str]) -> dict[str, int]:
         """Return how many bytes are under each of the keys that are there."""
-        ...
-
-    def zarr(self) -> Any:
-        """Return what zarr-python opens as a group."""
         ...
 
     def __str__(self) -> str: ...
@@ -173,10 +165,6 @@ class LocalStorage:
             start = max(0, size - length)
             return _read_part(file, start, size - start, f"{self}/{key}"), size
 
-    def read_range(self, key: str, offset: int, length: int) -> bytes:
-        """Return bytes from within a file."""
-        return self.read_ranges(key, [(offset, length)])[0]
-
     def read_ranges(self, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return bytes from several places within a file."""
         with open_plain(self.locate(key), error=StoreError) as (file, _):
@@ -237,7 +225,3 @@ class LocalStorage:
         """Remove what writers that were killed left of files not yet in their place."""
         for path in self.root.rglob(".*.partial"):
             self.remove(path.relative_to(self.root).as_posix())
-
-    def zarr(self) -> Path:
-        """Return the folder."""
-        return self.root

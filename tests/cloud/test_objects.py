@@ -41,14 +41,13 @@ def test_what_is_written_is_read(storage: Storage) -> None:
     assert storage.read_many(["a/b", "nothing"]) == {"a/b": b"hello you", "nothing": None}
     assert storage.read_tail("a/b", 3) == (b"you", 9)
     assert storage.read_tail("a/b", 300) == (b"hello you", 9)
-    assert storage.read_range("a/b", 6, 2) == b"yo"
     assert storage.read_ranges("a/b", [(0, 1), (6, 2)]) == [b"h", b"yo"]
     assert storage.read_ranges("a/b", []) == []
     out = np.zeros(4, np.uint8)
     assert storage.read_into("a/b", 2, out) == 4
     assert out.tobytes() == b"llo "
     with pytest.raises(StoreError, match="expected 200 bytes from byte 6 on, found 3"):
-        storage.read_range("a/b", 6, 200)
+        storage.read_ranges("a/b", [(6, 200)])
     assert storage.sizes(["a/b", "a/c", "a/d"]) == {"a/b": 9, "a/c": 0}
     assert isinstance(storage, Storage)
 
