@@ -20,10 +20,11 @@ from nimprep.store.storage import Storage
 from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
-from nimprep.torch.setups import CHANNELS, Setup, select
+from nimprep.torch.setups import CHANNELS, Selection, Setup, select
 from nimprep.torch.stored_images import StoredImages, merged_classes
 from nimprep.torch.transforms.foreign import adapted
 from nimprep.torch.transforms.geometry import check_returned
+from nimprep.torch.views import VIEWS
 
 Transform = Callable[[dict[str, Any]], dict[str, Any]]
 """From a sample to a sample; see `StoreDataset`."""
@@ -53,7 +54,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
     setup : str, optional
         One of `SETUPS`: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d; disparity,
         t-disparity, elevation, rgb+disparity, rgb+t-disparity, rgb+elevation, where the store has
-        what they need.
+        what they need; depth3, depth+mask, depth-minmax, tdisp, rgb+depth3, rgb+depth-minmax,
+        rgb+tdisp: see `nimprep.torch.views`.
     fusion : bool
         Keep the setup's two modalities apart, as a pair, for a network with two encoders.
     modalities : sequence of str, optional
@@ -120,18 +122,15 @@ class StoreDataset(Dataset[dict[str, Any]]):
         dtype: Literal["float32", "stored"] = "float32",
         seed: int = 0,
     ) -> None:
-        if dtype not in ("float32", "stored"):
-            raise ArrayError(f"dtype: expected 'float32' or 'stored', found {dtype!r}")
-        if dtype == "stored" and transform is not None:
-            raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
         self.selection = select(setup, fusion=fusion, modalities=modalities)
+        check_dtype(dtype, self.selection, transform)
         self.store = open_store(path)
         merged = None if classes is None else merged_classes(self.store, classes)
         self.images = StoredImages(self.store, self.selection, normals, merged)
         self.split = split
         self.indices = _frames(self.store, split)
         self.ids = tuple(self.store.ids[i] for i in self.indices)
-        self.scaling = scaling_from(normalize, self.store, self.selection.images)
+        self.scaling = scaling_from(normalize, self.store, self.selection.modalities)
         self.transform = None if transform is None else adapted(transform)
         self._checked_bytes = normalize != "none"
         self.dtype = dtype
@@ -208,7 +207,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
 
     def _check_bytes(self, changed: Mapping[str, Any], index: int) -> None:
         """Raise where a transform has divided colours by 255 itself: they would be again."""
-        for name in self.selection.images:
+        for name in self.selection.modalities:
             if (
                 MODALITIES[name].values in ("colors", "levels")
                 and changed[name].is_floating_point()
@@ -243,7 +242,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
     def _raw(self, item: int) -> dict[str, Any]:
         """Return a frame as transforms take it, but for the generator."""
         index = int(self.indices[item])
-        named = (*self.selection.images, *(["label"] if self.selection.label else []))
+        named = (*self.selection.modalities, *(["label"] if self.selection.label else []))
         height, width = (int(n) for n in self.store.tables.image_size[index])
         return {
             **{name: self.images.image(name, index) for name in named},
@@ -271,10 +270,26 @@ class StoreDataset(Dataset[dict[str, Any]]):
     def _joined(self, group: tuple[str, ...], raw: dict[str, Any]) -> Tensor:
         """Normalise the modalities of one tensor into it, one below the other."""
         channels = [CHANNELS[name] for name in group]
-        out = torch.empty((sum(channels), *raw[group[0]].shape[-2:]), dtype=torch.float32)
+        out = torch.empty(
+            (sum(channels), *raw[self.selection.modalities[0]].shape[-2:]), dtype=torch.float32
+        )
         for name, part in zip(group, torch.split(out, channels), strict=True):
-            self.scaling.apply(name, raw[name], part)
+            if name in VIEWS:
+                VIEWS[name].write(raw[VIEWS[name].of], self.scaling.apply, part)
+            else:
+                self.scaling.apply(name, raw[name], part)
         return out
+
+
+def check_dtype(dtype: str, selection: Selection, transform: object) -> None:
+    """Raise `ArrayError` for a dtype that a dataset cannot have."""
+    if dtype not in ("float32", "stored"):
+        raise ArrayError(f"dtype: expected 'float32' or 'stored', found {dtype!r}")
+    if dtype == "stored" and transform is not None:
+        raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
+    made = [name for name in selection.images if name in VIEWS]
+    if dtype == "stored" and made:
+        raise ArrayError(f"dtype: expected 'float32' with {made[0]}, found 'stored'")
 
 
 def _only(value: Any) -> Any:

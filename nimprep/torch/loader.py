@@ -15,7 +15,7 @@ from torch import Tensor
 from nimprep.errors import ArrayError
 from nimprep.parallel import available_cores, in_order, threads_for
 from nimprep.torch.collation import Batch, collate
-from nimprep.torch.dataset import StoreDataset
+from nimprep.torch.dataset import StoreDataset, check_dtype
 from nimprep.torch.ranks import part_of, ranks
 
 
@@ -49,10 +49,7 @@ def _pinned(value: Any) -> Any:
 
 def _as(dataset: StoreDataset, dtype: Literal["float32", "stored"]) -> StoreDataset:
     """Return the dataset with another dtype; the given one stays as it is."""
-    if dtype not in ("float32", "stored"):
-        raise ArrayError(f"dtype: expected 'float32' or 'stored', found {dtype!r}")
-    if dtype == "stored" and dataset.transform is not None:
-        raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
+    check_dtype(dtype, dataset.selection, dataset.transform)
     changed = copy.copy(dataset)
     changed.dtype = dtype
     return changed

@@ -27,7 +27,7 @@ class Normalize(nn.Module):
         super().__init__()
         self.selection = dataset.selection
         self.scaling = dataset.scaling
-        self.modalities = {n: dataset.images.modality(n) for n in self.selection.images}
+        self.modalities = {n: dataset.images.modality(n) for n in self.selection.modalities}
 
     def forward(self, batch: dict[str, Any]) -> dict[str, Any]:
         """Return the batch with float32 inputs and int64 labels, on the device it is on.

@@ -8,13 +8,14 @@ from typing import Literal
 
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES
+from nimprep.torch.views import VIEWS
 
 CHANNELS: dict[str, int] = {
     name: modality.channel_count
     for name, modality in MODALITIES.items()
     if modality.values != "classes"
-}
-"""Channels that each modality gives a network."""
+} | {name: view.channels for name, view in VIEWS.items()}
+"""Channels that each modality, and each view of one, gives a network."""
 
 Setup = Literal[
     "rgb",
@@ -30,6 +31,13 @@ Setup = Literal[
     "rgb+disparity",
     "rgb+t-disparity",
     "rgb+elevation",
+    "depth3",
+    "depth+mask",
+    "depth-minmax",
+    "tdisp",
+    "rgb+depth3",
+    "rgb+depth-minmax",
+    "rgb+tdisp",
 ]
 
 SETUPS: dict[Setup, tuple[str, ...]] = {
@@ -46,11 +54,19 @@ SETUPS: dict[Setup, tuple[str, ...]] = {
     "rgb+disparity": ("rgb", "disparity"),
     "rgb+t-disparity": ("rgb", "transformed_disparity"),
     "rgb+elevation": ("rgb", "elevation"),
+    "depth3": ("depth3",),
+    "depth+mask": ("depth", "mask"),
+    "depth-minmax": ("depth-minmax",),
+    "tdisp": ("transformed_disparity",),
+    "rgb+depth3": ("rgb", "depth3"),
+    "rgb+depth-minmax": ("rgb", "depth-minmax"),
+    "rgb+tdisp": ("rgb", "transformed_disparity"),
 }
 """The papers' setups: which modalities, in the order of their channels.
 
 "nim-" stands for the normals in place of the depth. Those of two modalities serve data fusion too.
-The first seven are the first paper's, the others the second's, which has rgb, normals and HHA too.
+The first seven are the first paper's, the next six the second's, which has rgb, normals and HHA
+too; the last seven are what other networks take, see `VIEWS`, and short names.
 
 Sources: Wang et al., "Applying surface normal information in drivable area and road anomaly
 detection for ground mobile robots", IROS 2020, tables I and II. Wang et al., "Dynamic fusion module
@@ -66,7 +82,7 @@ class Selection:
     Attributes
     ----------
     images : tuple of str
-        Modalities that become float tensors, in order.
+        Modalities, and views of them, that become float tensors, in order.
     label : bool
         Whether there is a label.
     inputs : tuple of tuple of str
@@ -77,6 +93,11 @@ class Selection:
     images: tuple[str, ...]
     label: bool
     inputs: tuple[tuple[str, ...], ...]
+
+    @property
+    def modalities(self) -> tuple[str, ...]:
+        """The modalities that the images are, or are made of; each once, in order."""
+        return tuple(dict.fromkeys(VIEWS[n].of if n in VIEWS else n for n in self.images))
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -113,10 +134,11 @@ def select(
 
 def _own_mix(modalities: Sequence[str], fusion: bool) -> Selection:
     names = (modalities,) if isinstance(modalities, str) else tuple(modalities)
-    unknown = [name for name in names if name not in MODALITIES]
+    known = (*MODALITIES, *VIEWS)
+    unknown = [name for name in names if name not in known]
     if unknown or not names or len(set(names)) < len(names):
         raise ArrayError(
-            f"modalities: expected some of {', '.join(MODALITIES)}, each once, found {names!r}"
+            f"modalities: expected some of {', '.join(known)}, each once, found {names!r}"
         )
     if fusion:
         raise ArrayError("fusion: expected a setup to fuse, found modalities; they come apart")

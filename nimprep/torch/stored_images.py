@@ -27,6 +27,7 @@ from nimprep.store.frames import (
 from nimprep.store.reader import Store
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import Selection
+from nimprep.torch.views import VIEWS
 
 MADE = ("normal",)
 """What can be made from the stored depth as a frame is read."""
@@ -70,7 +71,7 @@ class StoredImages:
         self.normals = normals
         self._merged = merged
         self._made = () if normals == "cached" else MADE
-        for name in selection.images:
+        for name in selection.modalities:
             needed = "depth" if name in self._made else name
             if needed not in store.modalities:
                 raise StoreError(_lacking(store, name, needed))
@@ -113,6 +114,12 @@ class StoredImages:
         ----------
         out : (C, H, W) float32, contiguous
         """
+        if name in VIEWS:
+            view = VIEWS[name]
+            values = torch.from_numpy(empty((1, *self.size), np.float32))
+            self.scaled(view.of, index, Scaling.none(), values)
+            view.write(values, scaling.apply, out)
+            return
         planes = out.numpy().reshape(out.shape[0], -1)
         modality = self.modality(name)
         if modality.values == "vectors":

@@ -14,6 +14,7 @@ from nimprep.store.statistics import channel_statistics
 from nimprep.torch import StoreDataset, StoreLoader, collate
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import CHANNELS, SETUPS, Setup
+from nimprep.torch.views import VIEWS
 from tests.fakes import SIZE
 from tests.torch.stores import FRAMES, make_mixed_store, make_store
 
@@ -47,11 +48,24 @@ def draw(sample: dict[str, object]) -> dict[str, object]:
 
 def expected(frame: nimprep.Frame, name: str) -> np.ndarray:
     """Return what a network takes of a frame, by the documented constants."""
+    if name in VIEWS:
+        return expected_view(frame.depth_m[None], name)
     if name in PLANES:
         image = frame.depth_m if name == "depth" else getattr(frame, name)
         return np.nan_to_num(image[None], nan=0) / SCALES[name]
     image = np.moveaxis(getattr(frame, name), 2, 0)
     return image if name == "normal" else image / 255
+
+
+def expected_view(depth_m: np.ndarray, name: str) -> np.ndarray:
+    known = depth_m > 0
+    if name == "depth3":
+        return np.concatenate([depth_m / 10] * 3)
+    if name == "mask":
+        return known
+    assert name == "depth-minmax"
+    low, high = depth_m[known].min(), depth_m[known].max()
+    return np.where(known, (depth_m - low) / (high - low), 0)
 
 
 @pytest.mark.parametrize("setup", SETUPS)
@@ -141,7 +155,7 @@ def test_a_missing_modality_is_named_with_what_to_do(tmp_path: Path) -> None:
         ({"split": "training"}, "expected a split of .*'training'"),
         ({"split": "none"}, "expected frames in split 'none', found 6 in train, 2 in val"),
         ({"normals": "sobel"}, "normals: expected one of cached, nim.*'sobel'"),
-        ({"normalize": "mean"}, "normalize: expected one of constants, train, none"),
+        ({"normalize": "mean"}, "normalize: expected one of constants, train, imagenet, none"),
         ({"dtype": "float16"}, "dtype: expected 'float32' or 'stored'"),
         ({"dtype": "stored", "transform": jitter}, "dtype: expected 'float32' with a transform"),
     ],
@@ -505,3 +519,36 @@ def test_its_repr_says_what_is_in_it(path: Path) -> None:
 
 def test_the_names_a_type_checker_knows_are_the_setups() -> None:
     assert get_args(Setup) == tuple(SETUPS)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_views_are_alike_by_name_after_a_transform_and_in_a_loader(path: Path, name: str) -> None:
+    plain = StoreDataset(path, None, modalities=("rgb", name), normalize="train")
+    moved = StoreDataset(path, None, modalities=("rgb", name), normalize="train", transform=dict)
+    batches = list(StoreLoader(plain, 4))
+    found = torch.cat([batch[name] for batch in batches])
+    for i in (0, 9):
+        assert torch.equal(plain[i][name], found[i])
+        torch.testing.assert_close(moved[i][name], found[i], atol=2e-7, rtol=0)
+    assert found.shape == (FRAMES, VIEWS[name].channels, *SIZE)
+
+
+def test_depth_at_the_mean_is_there_in_its_mask(path: Path) -> None:
+    dataset = StoreDataset(path, None, "depth+mask", normalize=Scaling({"depth": (0.0,)}, {}))
+    depth, mask = dataset[0]["inputs"]
+    assert not depth.any()
+    assert torch.equal(mask, torch.from_numpy(dataset.store[0].depth_m > 0).float())
+
+
+def test_an_image_without_depth_has_no_nearest() -> None:
+    out = torch.full((1, 2, 3), torch.nan)
+    VIEWS["depth-minmax"].write(torch.zeros(1, 2, 3), Scaling.none().apply, out)
+    assert not out.any()
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_what_is_made_of_depth_is_not_stored(path: Path, name: str) -> None:
+    with pytest.raises(ArrayError, match=f"^dtype: expected 'float32' with {name}"):
+        StoreDataset(path, None, modalities=(name,), dtype="stored")
+    with pytest.raises(ArrayError, match=f"^dtype: expected 'float32' with {name}"):
+        StoreLoader(StoreDataset(path, None, modalities=(name,)), dtype="stored")

@@ -45,8 +45,8 @@ def test_a_fused_setup_keeps_its_two_parts(setup: str, channels: tuple[int, int]
     assert select(setup, fusion=True).channels == channels
 
 
-def test_there_are_seven_setups_of_the_first_paper_and_six_of_the_second() -> None:
-    assert len(SETUPS) == 13
+def test_there_are_seven_setups_of_each_paper_or_six_and_seven_of_other_networks() -> None:
+    assert len(SETUPS) == 7 + 6 + 7
     assert list(SETUPS)[:7] == ["rgb", "depth", "hha", "rgb+d", "rgb+hha", "nim-depth", "nim-rgb+d"]
 
 
