@@ -21,6 +21,8 @@ from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES
 from nimprep.torch.transforms.geometry import IMAGES, Sample, frame_size
 
+_COLORS = {name for name, modality in MODALITIES.items() if modality.values == "colors"}
+
 _INSIDE = 173
 """What marks the frame's own pixels: no number that anybody fills in with."""
 
@@ -95,7 +97,7 @@ class Torchvision:
         from torchvision.tv_tensors import Image, Mask
 
         planes = _planes(sample)
-        given = {n: Image(p) if n == "rgb" else Mask(p) for n, p in planes.items()}
+        given = {n: Image(p) if n in _COLORS else Mask(p) for n, p in planes.items()}
         with _lock, torch.random.fork_rng(devices=[]):
             torch.manual_seed(_seed(sample))
             moved = self.transform(given)
@@ -297,7 +299,7 @@ def _check(move: _Move, sample: Sample, names: str) -> None:
 
 def _moved(name: str, plane: Tensor, inside: Tensor, move: _Move) -> Tensor:
     modality = MODALITIES[name]
-    if name == "rgb":
+    if name in _COLORS:
         return plane
     if modality.values == "classes":
         plane = plane[0].to(torch.int64)
