@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pkgutil import resolve_name
@@ -71,7 +72,13 @@ class Recipe:
 
 
 def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
-    """Return the recipe that a store's `modalities` attribute describes."""
+    """Return the recipe that a store's `modalities` attribute, which fits its schema, describes.
+
+    Raises
+    ------
+    ArrayError
+        It is none that this version knows.
+    """
     normal = modalities.get("normal", {"method": "nim", "parameters": {}})
     noise = normal["parameters"].get("noise", "estimated")
     derived = [modalities[m]["parameters"] for m in DERIVED if m in modalities]
@@ -81,14 +88,22 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
         sign_filter=bool(normal["parameters"].get("sign_filter", False)),
         fill=derived[0].get("fill", "none") if derived else stored.get("fill", "none"),
         store_filled="fill" in stored,
-        virtual_baseline_m=float(
+        virtual_baseline_m=_number(
+            "virtual_baseline_m",
             next(
                 (p["virtual_baseline_m"] for p in derived if "virtual_baseline_m" in p),
                 VIRTUAL_BASELINE_M,
-            )
+            ),
         ),
-        noise=None if noise == "estimated" else float(noise),
+        noise=None if noise == "estimated" else _number("noise", noise),
     )
+
+
+def _number(name: str, value: object) -> float:
+    # Beyond it whole numbers, which JSON has of any size, are no float.
+    if isinstance(value, (int, float)) and abs(value) <= sys.float_info.max:
+        return float(value)
+    raise ArrayError(f"{name}: expected a finite number, found {value!r:.200}")
 
 
 @dataclass(frozen=True)

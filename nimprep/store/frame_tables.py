@@ -16,7 +16,7 @@ from nimprep.store.checksums import MEND, chunk_checksum, in_force
 from nimprep.store.metadata import ROOT, read_document
 from nimprep.store.storage import Storage
 from nimprep.store.table_specs import CHUNK_CHECKSUMS, table_key, table_specs
-from nimprep.store.tables import LARGEST_CHUNK, decode_table
+from nimprep.store.tables import LARGEST_CHUNK, TableError, decode_table
 
 _SLASHES = re.compile(r"[/\\]")
 
@@ -88,9 +88,7 @@ def read_tables(
                     f"version's; {MEND}"
                 )
             arrays[name] = decode_table(document, spec, chunk)
-        except StoreError:
-            raise
-        except ValueError as error:
+        except TableError as error:
             raise StoreError(f"{where}: expected a table in one chunk, found {error}") from error
     lengths = {name: len(values) for name, values in arrays.items() if values is not None}
     if len(set(lengths.values())) != 1:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from nimprep.errors import StoreError
+from nimprep.store.connection import RequestError
+
 MAX_PROBLEMS = 100
 """A report stops after as many problems; a damaged store would otherwise list every pixel."""
 
@@ -68,3 +71,10 @@ class Report:
             "problems": self.problems,
             "extras": self.extras,
         }
+
+
+def fault_of(error: StoreError) -> str:
+    """Return what is wrong with a store; raise where only its place was out of reach."""
+    if isinstance(error, RequestError) and not isinstance(error.__cause__, FileNotFoundError):
+        raise error
+    return str(error)

@@ -30,17 +30,21 @@ _TEXT_PER_FRAME = 256
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
+class TableError(ValueError):
+    """A table is damaged, or laid out in another way than the format says; what was found."""
+
+
 def decode_table(document: dict[str, Any], spec: ArraySpec, chunk: bytes) -> npt.NDArray[Any]:
     """Return the values of a per-frame array, (frame, *spec.rest), from its metadata and its chunk.
 
     Raises
     ------
-    ValueError
+    TableError
         It is laid out in another way than the format says, or damaged.
     """
     shape = check_table(document, spec)
     if len(chunk) < 4 or google_crc32c.value(chunk[:-4]) != int.from_bytes(chunk[-4:], "little"):
-        raise ValueError("a wrong checksum")
+        raise TableError("a wrong checksum")
     if spec.dtype == "string":
         return _strings(_unpacked(chunk[:-4], None, shape[0]), shape[0])
     dtype = np.dtype(spec.dtype).newbyteorder("<")
@@ -53,7 +57,7 @@ def check_table(document: dict[str, Any], spec: ArraySpec) -> tuple[int, ...]:
 
     Raises
     ------
-    ValueError
+    TableError
         Its metadata is not what the format says.
     """
     first = "vlen-utf8" if spec.dtype == "string" else "bytes"
@@ -66,6 +70,7 @@ def check_table(document: dict[str, Any], spec: ArraySpec) -> tuple[int, ...]:
             ("node_type", "array", document["node_type"]),
             ("data type", spec.dtype, document["data_type"]),
             ("dimensions", list(spec.dims), document.get("dimension_names")),
+            ("dimensions of shape", len(spec.dims), len(shape)),
             ("shape after the frame", list(spec.rest), shape[1:]),
             ("chunk grid", "regular", document["chunk_grid"]["name"]),
             ("one chunk of shape", shape, chunk_shape),
@@ -74,12 +79,12 @@ def check_table(document: dict[str, Any], spec: ArraySpec) -> tuple[int, ...]:
             ("transformers", [], document.get("storage_transformers", [])),
         ]
     except (KeyError, TypeError, IndexError, AttributeError) as error:
-        raise ValueError(f"metadata that is malformed ({error!r:.200})") from error
+        raise TableError(f"metadata that is malformed ({error!r:.200})") from error
     for what, wanted, found in expected:
         if wanted != found:
-            raise ValueError(f"other metadata than {what} {wanted}: {found!r:.200}")
+            raise TableError(f"other metadata than {what} {wanted}: {found!r:.200}")
     if type(shape[0]) is not int or not 0 < shape[0] <= MAX_FRAMES:
-        raise ValueError(f"{shape[0]!r:.200} frames; a store holds 1 to {MAX_FRAMES}")
+        raise TableError(f"{shape[0]!r:.200} frames; a store holds 1 to {MAX_FRAMES}")
     return tuple(shape)
 
 
@@ -90,12 +95,12 @@ def _unpacked(packed: bytes, size: int | None, frames: int) -> bytes:
     claimed = _content_size(packed)
     most = _ROOM_FOR_TEXT + (4 + _TEXT_PER_FRAME) * frames
     if claimed is None or (claimed > most if size is None else claimed != size):
-        raise ValueError(f"a chunk of {claimed} bytes, unpacked")
+        raise TableError(f"a chunk of {claimed} bytes, unpacked")
     out = np.empty(claimed, dtype=np.uint8)
     try:
         zstd.decompress(packed, out)
     except RuntimeError as error:
-        raise ValueError(str(error)) from error
+        raise TableError(str(error)) from error
     return out.tobytes()
 
 
@@ -117,12 +122,15 @@ def _strings(data: bytes, count: int) -> npt.NDArray[Any]:
     """Return the strings of numcodecs' vlen-utf8: how many, then each one's length and bytes."""
     strings, place = [], 4
     if data[:4] != struct.pack("<I", count):
-        raise ValueError(f"another number of strings than {count}")
+        raise TableError(f"another number of strings than {count}")
     for _ in range(count):
         length = int.from_bytes(data[place : place + 4], "little")
         stop = place + 4 + length
         if stop > len(data):
-            raise ValueError("strings that end beyond their chunk")
-        strings.append(data[place + 4 : stop].decode("utf-8"))
+            raise TableError("strings that end beyond their chunk")
+        try:
+            strings.append(data[place + 4 : stop].decode("utf-8"))
+        except UnicodeDecodeError as error:
+            raise TableError(f"a string that is no UTF-8 ({error.reason})") from error
         place = stop
     return np.array(strings, dtype=object)

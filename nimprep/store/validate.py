@@ -13,7 +13,7 @@ import numpy as np
 
 from nimprep.camera import MAX_BASELINE_M, Camera
 from nimprep.derive.recipe import recipe_from
-from nimprep.errors import NimprepError, StoreError
+from nimprep.errors import ArrayError, CameraError, StoreError
 from nimprep.modality import MODALITIES
 from nimprep.parallel import Progress, map_in_order
 from nimprep.schema import MAX_BYTES, schema_problems
@@ -25,12 +25,12 @@ from nimprep.store.images import ImageArray
 from nimprep.store.location import Place
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, consolidated, read_attributes, read_document
-from nimprep.store.problems import Report
+from nimprep.store.problems import Report, fault_of
 from nimprep.store.reader import Store
 from nimprep.store.spec import KNOWN_VERSIONS, ArraySpec
 from nimprep.store.storage import Storage
 from nimprep.store.table_specs import table_specs
-from nimprep.store.tables import check_table
+from nimprep.store.tables import TableError, check_table
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
@@ -80,20 +80,20 @@ def validate_store(
         return report
     try:
         store = Store(storage)
-    except NimprepError as error:
-        report.add(str(error))
+    except StoreError as error:
+        report.add(fault_of(error))
         return report
     report.frames = len(store)
     check_tables(store, report)
+    _check_recipe(store, report)
     try:
-        _check_recipe(attributes["modalities"])
         check_arrays(store, report)
     except StoreError as error:
-        report.add(f"arrays: expected them readable, found {error}")
+        report.add(f"arrays: expected them readable, found {fault_of(error)}")
     try:
         check_consolidated(store, report)
     except StoreError as error:
-        report.add(str(error))
+        report.add(fault_of(error))
     if deep and report.valid:
         from nimprep.store.validate_deep import check_pixels
 
@@ -106,11 +106,16 @@ def validate_store(
 _MALFORMED = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
 
 
-def _check_recipe(modalities: dict[str, Any]) -> None:
+def _check_recipe(store: Store, report: Report) -> None:
     try:
-        recipe_from(modalities)
-    except _MALFORMED as error:
-        raise StoreError(_first_line(error)) from error
+        recipe_from(store.about.modalities)
+    except ArrayError as error:
+        if store.about.format_version not in KNOWN_VERSIONS:
+            raise StoreError(
+                f"{store.path}: expected modalities made as this version knows, found {error}; "
+                "validate it with the version that wrote it"
+            ) from error
+        report.add(f"attributes: modalities: {error}")
 
 
 def _first_line(error: Exception) -> str:
@@ -213,7 +218,7 @@ def _check_camera(store: Store, index: int, report: Report) -> None:
     name = f"frame {index} ({store.ids[index]!r})"
     try:
         camera: Camera = store.camera(index)
-    except NimprepError as error:
+    except (CameraError, StoreError) as error:
         report.add(f"{name}: {error}")
         return
     # A principal point can lie outside a cropped image, but not many images away.
@@ -271,7 +276,7 @@ def _attributes(storage: Storage, name: str, spec: ArraySpec, *, table: bool) ->
     if table:
         try:
             check_table(document, spec)
-        except ValueError as error:
+        except TableError as error:
             raise StoreError(f"{name}: {error}") from error
     elif problems := layout_problems(document, spec):
         raise StoreError(f"{name}: {problems[0]}")
@@ -286,5 +291,5 @@ def _shard_problem(array: ImageArray, shard: int) -> str:
     try:
         array.check_shard(shard)
     except StoreError as error:
-        return str(error)
+        return fault_of(error)
     return ""

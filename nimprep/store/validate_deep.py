@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import DERIVED, recipe_from
-from nimprep.errors import NimprepError
+from nimprep.errors import ArrayError, CameraError, StoreError
 from nimprep.frame import IGNORE_LABEL, MAX_PIXELS, Frame
 from nimprep.modality import Modality
 from nimprep.parallel import Progress, available_cores, map_in_order, no_progress
 from nimprep.store.frames import depth_from_millimetres, to_integers
-from nimprep.store.problems import Report
+from nimprep.store.problems import Report, fault_of
 from nimprep.store.reader import Store
 from nimprep.store.statistics import channel_sums
 
@@ -58,8 +58,8 @@ def _frame_problems(store: Store, index: int, *, recompute: bool) -> list[str]:
     for name, array in store.arrays.items():
         try:
             images[name] = array.read(index)
-        except NimprepError as error:
-            problems.append(f"{name}: {error}")
+        except StoreError as error:
+            problems.append(f"{name}: {fault_of(error)}")
     if problems:
         return problems
     height, width = store.camera(index).shape
@@ -159,7 +159,7 @@ def _recomputed_problems(
         frame, missing = fill_frame(frame, recipe)
     try:
         derived = derive(frame, missing, wanted, recipe)
-    except NimprepError as error:
+    except (ArrayError, CameraError) as error:
         return [f"recomputation: {error}"]
     problems = []
     for name, again in derived.images.items():

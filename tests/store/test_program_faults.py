@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,10 @@ from typing import Any
 import pytest
 
 import nimprep
-from nimprep.store.validate import validate_store
+from nimprep.errors import StoreError
+from nimprep.store.checksums import with_digest
+from nimprep.store.connection import RequestError
+from nimprep.store.validate import _MALFORMED, validate_store
 from tests.fakes import write_gmrp
 
 FAULTS = [
@@ -20,13 +25,24 @@ FAULTS = [
     AssertionError("a bug"),
     ZeroDivisionError("another"),
     TypeError("takes 2 positional arguments but 3 were given"),
+    ValueError("not enough values to unpack"),
+    KeyError("hha"),
+    IndexError("list index out of range"),
+    AttributeError("no attribute 'frames'"),
 ]
+
+OUT_OF_REACH = RequestError("s3://bucket/a.zarr: expected an answer, found none")
+OUT_OF_REACH.__cause__ = TimeoutError()
+FAULTS.append(OUT_OF_REACH)
 
 PLACES = [
     "nimprep.store.validate.recipe_from",
     "nimprep.store.validate.table_specs",
     "nimprep.store.validate.layout_problems",
     "nimprep.store.validate.check_table",
+    "nimprep.store.frame_tables.decode_table",
+    "nimprep.store.tables.check_table",
+    "nimprep.store.reader.stored_modalities",
     "nimprep.store.validate.consolidated",
     "nimprep.store.validate.MemoryFiles",
     "nimprep.store.validate.ImageArray.check_shard",
@@ -44,8 +60,12 @@ PLACES = [
 ]
 
 
-TAKE_APART = {"nimprep.store.validate.recipe_from", "zarr.open_array"}
-"""These are given nothing but a document, whose values may be of any type."""
+TAKE_APART = {"zarr.open_array"}
+"""This is given nothing but a document, whose values may be of any type."""
+
+
+NO_REQUESTS = {"nimprep.store.validate.Store.camera"}
+"""All that this needs was read before."""
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +79,13 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     ("place", "fault"),
-    [(p, f) for p in PLACES for f in FAULTS if not (p in TAKE_APART and isinstance(f, TypeError))],
+    [
+        (p, f)
+        for p in PLACES
+        for f in FAULTS
+        if not (p in TAKE_APART and isinstance(f, _MALFORMED))
+        and not (p in NO_REQUESTS and f is OUT_OF_REACH)
+    ],
     ids=lambda value: value if isinstance(value, str) else type(value).__name__,
 )
 def test_validation_hands_on_what_is_no_fault_of_the_store(
@@ -72,6 +98,48 @@ def test_validation_hands_on_what_is_no_fault_of_the_store(
     with pytest.raises(type(fault)) as raised:
         validate_store(store, deep=True)
     assert raised.value is fault
+
+
+@pytest.mark.parametrize("version", ["1.1", "1.999"])
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("normal", {"method": "nim-2"}, "normals: expected one of nim, nim-edge, found 'nim-2'"),
+        ("normal", {"parameters": {"fill": ["none"]}}, "fill: expected one of"),
+        ("normal", {"parameters": {"noise": "much"}}, "noise: expected a finite number"),
+        ("normal", {"parameters": {"noise": None}}, "noise: expected a finite number"),
+        ("normal", {"parameters": {"noise": 10**400}}, "noise: expected a finite number"),
+    ],
+)
+def test_a_recipe_that_nobody_knows_is_the_stores_fault_and_one_of_a_later_version_is_not(
+    version: str, name: str, change: dict[str, Any], words: str, store: Path, tmp_path: Path
+) -> None:
+    ours = shutil.copytree(store, tmp_path / "s.zarr")
+    document = json.loads((ours / "zarr.json").read_text())
+    attributes = document["attributes"]["nimprep"]
+    attributes["modalities"][name].update(change)
+    attributes["format_version"] = version
+    document["attributes"]["nimprep"] = with_digest(attributes)
+    (ours / "zarr.json").write_text(json.dumps(document))
+    if version == "1.1":
+        (problem,) = [p for p in validate_store(ours).problems if "frames" not in p]
+        assert problem.startswith(f"attributes: modalities: {words}")
+        return
+    with pytest.raises(StoreError, match=f"{words}.*; validate it with the version that wrote it"):
+        validate_store(ours)
+
+
+@pytest.mark.parametrize("name", ["split", "frame_id", "intrinsics"])
+@pytest.mark.parametrize("shape", [[], {}, "", None, [[]], [2.0], [True]])
+def test_a_table_of_whatever_shape_is_the_stores_fault(
+    name: str, shape: object, store: Path, tmp_path: Path
+) -> None:
+    ours = shutil.copytree(store, tmp_path / "s.zarr")
+    document = json.loads((ours / name / "zarr.json").read_text())
+    document["shape"] = document["chunk_grid"]["configuration"]["chunk_shape"] = shape
+    (ours / name / "zarr.json").write_text(json.dumps(document))
+    (problem,) = validate_store(ours).problems
+    assert f"{name}: expected a table in one chunk, found" in problem
 
 
 ROOT = Path(nimprep.__file__).parent
