@@ -86,6 +86,11 @@ def pytest_configure(config: pytest.Config) -> None:
     """Prepare what no fixture can."""
     # A conftest's own hooks would not see the fixtures of a session.
     config.pluginmanager.register(leftovers, "leftovers")
+    if sys.platform == "linux":
+        from tests.hostile import counts
+
+        # A conftest below here is not read where other processes run its tests.
+        config.pluginmanager.register(counts, "counts")
     # What a shell starts in the background, and all that that starts, it makes deaf to Ctrl-C.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -109,10 +109,13 @@ def alive(number: int) -> bool:
     return True
 
 
-def test_what_a_test_leaves_is_ended_and_its_test_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("way", [("-s",), ("-n", "1")], ids=["here", "in another process"])
+def test_what_a_test_leaves_is_ended_and_its_test_named(
+    tmp_path: Path, way: tuple[str, ...]
+) -> None:
     (tmp_path / "test_these.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
-    options = ["-p", "no:randomly", "-p", "tests.conftest", "-s", "-rA"]
+    options = ["-p", "no:randomly", "-p", "tests.conftest", "-rA", *way]
     # As a shell starts what it is to run in the background.
     deaf = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); "
     deaf += "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
@@ -132,6 +135,6 @@ def test_what_a_test_leaves_is_ended_and_its_test_named(tmp_path: Path) -> None:
         assert f"ERROR test_these.py::test_{name} - " in said
     assert "the tests left process" in said
     assert "fixture shared_and_left of " in said
-    started = re.findall(r"started (\d+)", said)
+    started = set(re.findall(r"started (\d+)", said))
     assert len(started) == 6
     assert not any(alive(int(number)) for number in started)

@@ -1,4 +1,4 @@
-"""Limits around every test here, and the count of what was tried after all of them."""
+"""Limits around every test here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 import nimprep
 from tests.fakes import write_gmrp
-from tests.hostile.fuzzing import limited_memory, report
+from tests.hostile.fuzzing import limited_memory
 
 CAMERA = '{"fx": 30, "fy": 31, "cx": 15, "cy": 11}'
 
@@ -38,12 +38,3 @@ def made_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "camera.json").write_text(CAMERA)
     nimprep.convert(root, folder / "s.zarr", shard_length=2)
     return folder / "s.zarr"
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say how much was tried."""
-    lines = report()
-    if lines:
-        terminalreporter.section("hostile input")
-        for line in lines:
-            terminalreporter.line(line)
