@@ -12,7 +12,6 @@ import signal
 import sys
 from collections.abc import Generator, Iterator
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
@@ -25,6 +24,12 @@ Child = tuple[int, str]
 """A process by its number and when it started, which together are no other's."""
 
 
+def _read(folder: os.DirEntry[str], name: str) -> str:
+    # Most of the processes are nobody's here, and this is done after every test.
+    with open(f"{folder.path}/{name}", encoding="utf-8", errors="replace") as file:  # noqa: PTH123
+        return file.read()
+
+
 def _children() -> dict[Child, str]:
     """Return this process's children that live, with their commands; none where no /proc is."""
     if sys.platform != "linux":
@@ -33,19 +38,18 @@ def _children() -> dict[Child, str]:
         os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
     except ChildProcessError:
         return {}  # as after most tests, without a look at every process
-    found = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (folder / "stat").read_text().rpartition(")")[2].split()
-            command = (
-                (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-            )
-        except OSError:
-            continue  # it has ended
-        state, parent, start = fields[0], int(fields[1]), fields[19]
-        # Python's own helper of shared memory lives as long as the process that first needed it.
-        if parent == os.getpid() and state not in "ZX" and "resource_tracker" not in command:
-            found[int(folder.name), start] = command.strip()
+    found, own = {}, str(os.getpid())
+    for folder in os.scandir("/proc"):
+        if not folder.name.isdecimal():
+            continue
+        with suppress(OSError):  # where it has ended
+            fields = _read(folder, "stat").rpartition(")")[2].split()
+            state, parent, start = fields[0], fields[1], fields[19]
+            if parent == own and state not in "ZX":
+                command = _read(folder, "cmdline").replace("\0", " ").strip()
+                # Python's own helper of shared memory lives as long as whoever first needed it.
+                if "resource_tracker" not in command:
+                    found[int(folder.name), start] = command
     return found
 
 
