@@ -14,6 +14,7 @@ import pytest
 
 import nimprep
 from nimprep.errors import StoreError
+from nimprep.store import lock
 from nimprep.store import resplit as resplit_module
 from nimprep.store.lock import MARKER, changing, hidden_folder, locked_folder
 from nimprep.store.resplit import resplit
@@ -71,12 +72,18 @@ def _during(meanwhile: Meanwhile) -> Callable[[str, int], Meanwhile]:
     return progress
 
 
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("prepared")
+    nimprep.convert(write_gmrp(folder / "a", 3), folder / "s.zarr", **OPTIONS)
+    more = write_frames(folder / "b", range(3, 5))
+    nimprep.convert(more, folder / "other.zarr", **OPTIONS)
+    return folder
+
+
 @pytest.fixture
-def change(tmp_path: Path) -> Change:
-    nimprep.convert(write_gmrp(tmp_path / "a", 3), tmp_path / "s.zarr", **OPTIONS)
-    more = write_frames(tmp_path / "b", range(3, 5))
-    nimprep.convert(more, tmp_path / "other.zarr", **OPTIONS)
-    return Change(tmp_path)
+def change(prepared: Path, tmp_path: Path) -> Change:
+    return Change(shutil.copytree(prepared, tmp_path, dirs_exist_ok=True))
 
 
 def names(folder: Path) -> set[str]:
@@ -164,6 +171,8 @@ def lockless(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(fcntl, "flock", flock)
+    # Nobody here leaves while another waits.
+    monkeypatch.setattr(lock, "_MOMENT_S", 0.003)
     return os.strerror(number)
 
 
