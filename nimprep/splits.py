@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from nimprep.errors import SplitError
 from nimprep.files import write_whole
@@ -18,7 +18,9 @@ SplitName = Literal["train", "val", "test"]
 SPLIT_CODES: dict[str, int] = {"train": 0, "val": 1, "test": 2, "none": 255}
 """How a store's `split` array writes each split."""
 
-SPLIT_RULES = ("frame", "group", "stratified")
+SplitRule = Literal["frame", "group", "stratified"]
+
+SPLIT_RULES: tuple[SplitRule, ...] = get_args(SplitRule)
 """By frame; by whole scenes; by frame within each scene."""
 
 SPLITS: dict[str, SplitName] = {"train": "train", "val": "val", "test": "test"}
@@ -109,7 +111,7 @@ def _choose_scenes(
 
 def assign_splits(
     groups: Mapping[str, str],
-    rule: str = "frame",
+    rule: SplitRule = "frame",
     seed: int = 0,
     fixed: Mapping[str, SplitName] | None = None,
 ) -> dict[str, SplitName]:
@@ -154,7 +156,7 @@ def assign_splits(
 def extend_splits(
     groups: Mapping[str, str],
     known: Mapping[str, str],
-    rule: str = "frame",
+    rule: SplitRule | Literal["file"] = "frame",
     seed: int = 0,
     fixed: Mapping[str, SplitName] | None = None,
 ) -> dict[str, str]:

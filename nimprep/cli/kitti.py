@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import click
 
 from nimprep.cli.echo import echo
 from nimprep.cli.options import json_option, progress_bars, quiet_option
+from nimprep.kitti.names import TARGETS, DepthFrom, Target
 
 if TYPE_CHECKING:
     from nimprep.kitti.evaluation import Evaluation, View
-    from nimprep.kitti.names import Target
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -54,7 +54,7 @@ def kitti() -> None:
 @click.option(
     "--from",
     "wanted",
-    type=click.Choice(["auto", "lidar", "stereo"]),
+    type=click.Choice(get_args(DepthFrom)),
     default="auto",
     show_default=True,
     help="auto: depth_u16 where it is there, else LiDAR, else stereo.",
@@ -62,7 +62,9 @@ def kitti() -> None:
 @click.option("--sparse", is_flag=True, help="Leave LiDAR and stereo as measured, not filled.")
 @_overwrite
 @quiet_option
-def depth(src: Path, out: Path, wanted: Any, sparse: bool, overwrite: bool, quiet: bool) -> None:
+def depth(
+    src: Path, out: Path, wanted: DepthFrom, sparse: bool, overwrite: bool, quiet: bool
+) -> None:
     """Write dense depth of the road folder SRC to OUT, 16-bit millimetres.
 
     OUT/depth.json records which source each frame's depth came from.
@@ -127,7 +129,7 @@ def _score_table(evaluation: Evaluation) -> str:
 @click.option(
     "--type",
     "target",
-    type=click.Choice(["road", "lane"]),
+    type=click.Choice(TARGETS),
     default="road",
     show_default=True,
     help="All 290 test frames, or the 96 of category um.",

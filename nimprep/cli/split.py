@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from nimprep.cli.echo import echo
+from nimprep.splits import SPLIT_RULES, SplitRule
 
 
 @click.command()
@@ -20,7 +21,7 @@ from nimprep.cli.echo import echo
 )
 @click.option(
     "--split-by",
-    type=click.Choice(["frame", "group", "stratified"]),
+    type=click.Choice(SPLIT_RULES),
     help="Split anew: frames, whole scenes, or frames within each scene.",
 )
 @click.option("--seed", type=int, help="Split anew with another order.")
@@ -29,7 +30,7 @@ def split(
     export_file: Path | None,
     overwrite: bool,
     import_file: Path | None,
-    split_by: str | None,
+    split_by: SplitRule | None,
     seed: int | None,
 ) -> None:
     """Show how many frames of STORE are train, val and test; or split them anew, in place.

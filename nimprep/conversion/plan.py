@@ -19,7 +19,7 @@ from nimprep.modality import MODALITIES, Modality, given_for
 from nimprep.readers import Reader, open_reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.schema import schema_problems
-from nimprep.splits import SplitName, assign_splits, splits_from_file
+from nimprep.splits import SplitName, SplitRule, assign_splits, splits_from_file
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.storage import Storage
@@ -218,7 +218,7 @@ def fixed_by_split(reader: Reader, ids: Iterable[str]) -> dict[str, list[str]]:
     return fixed
 
 
-def split_rule(reader: Reader, options: ConvertOptions) -> str:
+def split_rule(reader: Reader, options: ConvertOptions) -> SplitRule:
     """Return the rule to split by where no file does."""
     return options.split_by or ("stratified" if fixed_splits(reader, reader.ids) else "frame")
 

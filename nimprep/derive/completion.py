@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.depth import checked_depth
 from nimprep.derive.colorization import fill_by_colorization
+from nimprep.derive.methods import FILL_METHODS as FILL_METHODS
+from nimprep.derive.methods import FillMethod as FillMethod
 from nimprep.errors import ArrayError
 from nimprep.kernels.completion_delaunay import triangulate
 from nimprep.kernels.completion_linear import border_points, fill_triangles
 from nimprep.kernels.completion_nearest import fill_nearest, nearest_rows
 from nimprep.parallel import run_blocks
-
-FillMethod = Literal["nearest", "linear", "colorization"]
-
-FILL_METHODS: tuple[FillMethod, ...] = get_args(FillMethod)
-"""Every method of `fill_depth`."""
 
 _BLOCK_ROWS = 32
 _BLOCK_COLUMNS = 256

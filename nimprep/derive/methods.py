@@ -1,13 +1,26 @@
-"""The methods of `nimprep.derive.normals.estimate_normals`, and the options that each takes."""
+"""The methods of making normals and filling depth, and the options that each takes."""
 
 from __future__ import annotations
 
 import math
+from typing import Literal, get_args
 
 from nimprep.errors import ArrayError
 
-METHODS = ("nim", "nim-edge")
-"""What `estimate_normals` takes as `method`."""
+Method = Literal["nim", "nim-edge"]
+
+METHODS: tuple[Method, ...] = get_args(Method)
+"""What `nimprep.derive.normals.estimate_normals` takes as `method`."""
+
+FillMethod = Literal["nearest", "linear", "colorization"]
+
+FILL_METHODS: tuple[FillMethod, ...] = get_args(FillMethod)
+"""Every method of `nimprep.derive.completion.fill_depth`."""
+
+Fill = Literal["none", FillMethod]
+
+FILLS: tuple[Fill, ...] = get_args(Fill)
+"""How holes in depth can be filled before anything is derived from it."""
 
 
 def check_method(method: str, sign_filter: bool = False, noise: float | None = None) -> None:

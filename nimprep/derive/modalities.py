@@ -44,7 +44,7 @@ def fill_frame(frame: Frame, recipe: Recipe) -> tuple[Frame, npt.NDArray[np.bool
         return frame, None
     from nimprep.derive.completion import fill_depth
 
-    filled, mask = fill_depth(frame.depth_m, recipe.fill, frame.rgb, num_threads=1)  # type: ignore[arg-type]
+    filled, mask = fill_depth(frame.depth_m, recipe.fill, frame.rgb, num_threads=1)
     return replace(frame, depth_m=filled), mask
 
 

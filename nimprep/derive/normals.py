@@ -10,6 +10,7 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.depth import checked_depth
 from nimprep.derive.methods import METHODS as METHODS
+from nimprep.derive.methods import Method
 from nimprep.derive.methods import check_method as check_method
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.errors import ArrayError
@@ -20,7 +21,7 @@ from nimprep.parallel import run_rows
 def estimate_normals(
     depth_m: npt.ArrayLike,
     camera: Camera,
-    method: str = "nim",
+    method: Method = "nim",
     sign_filter: bool = False,
     out: npt.NDArray[np.float32] | None = None,
     num_threads: int | None = None,
@@ -35,7 +36,7 @@ def estimate_normals(
         float32.
     camera : Camera
         Of the image's size.
-    method : str
+    method : {"nim", "nim-edge"}
         "nim", the paper's: the gradient of inverse depth gives n_x and n_y; each of the four
         neighbours whose depth differs gives an n_z, and the unit vectors are summed. "nim-edge":
         the same n_x and n_y from differences that cross no depth edge, n_z from the plane that

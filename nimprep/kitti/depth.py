@@ -18,6 +18,7 @@ from nimprep.kitti.calibration import FRAME_SHAPES, Calibration, read_calibratio
 from nimprep.kitti.images import png_bytes
 from nimprep.kitti.layout import RoadFiles, list_road_files
 from nimprep.kitti.lidar import project_lidar, read_velodyne
+from nimprep.kitti.names import DepthFrom
 from nimprep.kitti.stereo import stereo_depth
 from nimprep.parallel import Progress, map_frames
 
@@ -51,7 +52,7 @@ def source_file(files: RoadFiles, source: DepthSource) -> Path:
 
 
 def choose_source(
-    files: RoadFiles, wanted: Literal["auto", "lidar", "stereo"] = "auto", sparse: bool = False
+    files: RoadFiles, wanted: DepthFrom = "auto", sparse: bool = False
 ) -> DepthSource:
     """Return the depth source to use for a frame: depth_u16, else LiDAR, else stereo.
 
@@ -165,7 +166,7 @@ def _stereo_of_frame(files: RoadFiles, calibration: Calibration) -> npt.NDArray[
 def write_depth(
     src: Path | str,
     out: Path | str,
-    wanted: Literal["auto", "lidar", "stereo"] = "auto",
+    wanted: DepthFrom = "auto",
     sparse: bool = False,
     progress: Progress | None = None,
     *,

@@ -12,6 +12,9 @@ from nimprep.errors import LayoutError
 
 Target = Literal["road", "lane"]
 
+DepthFrom = Literal["auto", "lidar", "stereo"]
+"""Where depth is taken from: depth_u16, else LiDAR, else stereo; or the one named."""
+
 CATEGORIES = ("um", "umm", "uu")
 """Urban marked, urban multiple marked lanes, urban unmarked."""
 

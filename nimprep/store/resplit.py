@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from nimprep.errors import StoreError
-from nimprep.splits import SPLIT_CODES, SplitName, assign_splits, splits_from_file
+from nimprep.splits import SPLIT_CODES, SplitName, SplitRule, assign_splits, splits_from_file
 from nimprep.store.attributes import PastSplit, Split, StoreAttributes
 from nimprep.store.checksums import chunk_checksum
 from nimprep.store.location import Place
@@ -27,7 +27,7 @@ def resplit(
     path: Place | Storage,
     *,
     split_file: Path | str | None = None,
-    rule: str | None = None,
+    rule: SplitRule | None = None,
     seed: int = 0,
 ) -> dict[str, str]:
     """Split a store's frames anew, by a file or by a rule.
@@ -58,7 +58,7 @@ def resplit(
 
 
 def _resplit(
-    store: Store, split_file: Path | str | None, rule: str | None, seed: int
+    store: Store, split_file: Path | str | None, rule: SplitRule | None, seed: int
 ) -> dict[str, str]:
     about = store.about
     check_changeable(about.format_version, str(store.path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from nimprep.errors import StoreError
 from nimprep.frame import LabelClass
@@ -98,11 +98,13 @@ class Preset:
     clevel: int
 
 
-PRESETS: dict[str, Preset] = {"fast": Preset("lz4hc", 5), "small": Preset("zstd", 9)}
+Codec = Literal["fast", "small"]
+
+PRESETS: dict[Codec, Preset] = {"fast": Preset("lz4hc", 5), "small": Preset("zstd", 9)}
 """Codec presets, chosen by scripts/benchmark_codecs.py; schemas/README.md has its outcome."""
 
 
-def chunk_codec(preset: str, dtype: str) -> ChunkCodec:
+def chunk_codec(preset: Codec, dtype: str) -> ChunkCodec:
     """Return the codec of an image array: bytes are shuffled only where values have two.
 
     Bitshuffle, and shuffling the three channels apart, made real frames larger and slower to read.

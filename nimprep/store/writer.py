@@ -23,7 +23,7 @@ from nimprep.store.extras import check_replaceable, discard
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, read_attributes
 from nimprep.store.shards import encode_shard
-from nimprep.store.spec import FORMAT_VERSION, ArraySpec, ChunkCodec, chunk_codec, image_spec
+from nimprep.store.spec import FORMAT_VERSION, ArraySpec, ChunkCodec, Codec, chunk_codec, image_spec
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.swap import swap_folders
 from nimprep.store.table_specs import table_key, table_specs
@@ -44,7 +44,7 @@ class StoreLayout:
     modalities : tuple of str
     classes : tuple of LabelClass
     normal_dtype : {"int8", "int16"}
-    codec : str
+    codec : {"fast", "small"}
         A name in `PRESETS`.
     shard_length : int
         Frames per shard.
@@ -56,7 +56,7 @@ class StoreLayout:
     modalities: tuple[str, ...]
     classes: tuple[LabelClass, ...]
     normal_dtype: str
-    codec: str
+    codec: Codec
     shard_length: int
 
     def modality(self, name: str) -> Modality:

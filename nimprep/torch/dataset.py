@@ -21,7 +21,7 @@ from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
 from nimprep.torch.setups import CHANNELS, Selection, Setup, select
-from nimprep.torch.stored_images import StoredImages, merged_classes
+from nimprep.torch.stored_images import NormalsFrom, StoredImages, merged_classes
 from nimprep.torch.transforms.foreign import adapted
 from nimprep.torch.transforms.geometry import check_returned
 from nimprep.torch.views import VIEWS
@@ -116,7 +116,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         transform: Transform | None = None,
         *,
         modalities: Sequence[str] | None = None,
-        normals: str = "cached",
+        normals: NormalsFrom = "cached",
         normalize: Normalization | Scaling | None = None,
         classes: Mapping[str, int] | None = None,
         dtype: Literal["float32", "stored"] = "float32",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from numcodecs import blosc
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
-from nimprep.derive.methods import METHODS, check_method
+from nimprep.derive.methods import METHODS, Method, check_method
 from nimprep.derive.normals import estimate_normals
 from nimprep.errors import ArrayError, StoreError
 from nimprep.frame import IGNORE_LABEL
@@ -28,6 +28,9 @@ from nimprep.store.reader import Store
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import Selection
 from nimprep.torch.views import VIEWS
+
+NormalsFrom = Literal["cached", Method]
+"""Where normals come from: the store, or a method of `estimate_normals`."""
 
 MADE = ("normal",)
 """What can be made from the stored depth as a frame is read."""
@@ -59,7 +62,7 @@ class StoredImages:
         self,
         store: Store,
         selection: Selection,
-        normals: str = "cached",
+        normals: NormalsFrom = "cached",
         merged: npt.NDArray[np.uint8] | None = None,
     ) -> None:
         if normals not in ("cached", *METHODS):
@@ -68,7 +71,7 @@ class StoredImages:
         if normals != "cached":
             check_method(normals)  # compiles its kernels before workers start
         self.store = store
-        self.normals = normals
+        self._method: Method = "nim" if normals == "cached" else normals
         self._merged = merged
         self._made = () if normals == "cached" else MADE
         for name in selection.modalities:
@@ -171,7 +174,7 @@ class StoredImages:
         depth_m = depth_from_millimetres(self.stored("depth", index))
         out = empty((*camera.shape, 3), np.float32)
         valid = np.ascontiguousarray(depth_m[:height, :width])
-        estimate_normals(valid, camera, method=self.normals, out=out, num_threads=1)
+        estimate_normals(valid, camera, method=self._method, out=out, num_threads=1)
         if camera.shape == self.size:
             return out
         padded = np.zeros((*self.size, 3), dtype=np.float32)
