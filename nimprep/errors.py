@@ -25,6 +25,10 @@ class LayoutError(NimprepError, FileNotFoundError):
         return str(self.args[0]) if self.args else ""
 
 
+class OptionError(LayoutError):
+    """An option that the dataset's reader does not take: the call is wrong, not the data."""
+
+
 class DecodeError(NimprepError, ValueError):
     """A file is there but is not what it should be: truncated, of another type or out of range."""
 

@@ -6,11 +6,12 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from nimprep.conversion.compatibility import check_frames, options_like, padded_size
 from nimprep.conversion.growth import grow, grown_splits
 from nimprep.conversion.journal import kept_journal
+from nimprep.conversion.options import RunOptions
 from nimprep.conversion.plan import Base, Plan
 from nimprep.conversion.records import Records, SkippedFrame
 from nimprep.conversion.run import encode, make_plan
@@ -24,43 +25,24 @@ from nimprep.conversion.workspace import (
     root_digest,
 )
 from nimprep.errors import StoreError
+from nimprep.options import documented, option
 from nimprep.parallel import Progress, no_progress
-from nimprep.readers import Reader, open_reader
+from nimprep.readers import Reader, ReaderOptions
 from nimprep.readers.subset import SubsetReader
 from nimprep.store.extras import check_growable
 from nimprep.store.metadata import read_attributes
 from nimprep.store.reader import Store, open_store
 
 
-@dataclass(frozen=True)
-class AppendOptions:
-    """Say how frames are read that join a store; what is made of them, the store says.
+@documented
+@dataclass(frozen=True, kw_only=True)
+class AppendOptions(RunOptions, ReaderOptions):
+    """Say how the frames of SRC are read that join STORE; what is made of them, the store says.
 
-    Attributes
-    ----------
-    reader, description, camera, depth_scale, target, depth_from, sparse
-        As in `ConvertOptions`; to be given again as they were for the store.
-    skip_existing : bool
-        Leave frames out whose ids the store has already; else they are an error.
-    workers : int, optional
-        Threads; None = the cores this process may use. The bytes do not depend on it.
-    restart : bool
-        Begin anew where an earlier append to the store was cut short; else go on there.
-    on_error : {"stop", "skip"}
-        What a bad frame does: end it all, or be left out and listed in the metadata.
+    How they are read is to be said as it was for the store.
     """
 
-    reader: str = "auto"
-    description: Path | str | None = None
-    camera: Path | str | tuple[float, float, float, float] | None = None
-    depth_scale: float | None = None
-    target: Literal["road", "lane"] = "road"
-    depth_from: Literal["auto", "lidar", "stereo"] = "auto"
-    sparse: bool = False
-    skip_existing: bool = False
-    workers: int | None = None
-    restart: bool = False
-    on_error: Literal["stop", "skip"] = "stop"
+    skip_existing: bool = option(False, "Leave out frames that STORE has; else they are an error.")
 
 
 @dataclass(frozen=True)
@@ -130,7 +112,7 @@ def append_frames(
         reading = asdict(options)
         del reading["skip_existing"]
         converting = options_like(old, **reading)
-        reader = open_reader(source, converting.reader, converting.reading)
+        reader = converting.open_reader(source)
         done = _published(old, reader, options, workspace) if workspace.published else None
         if done is None:
             new = SubsetReader(reader, _new_ids(old, reader, options))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, fields
+from dataclasses import astuple
 from typing import Any
 
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import describe_modalities
-from nimprep.derive.recipe import recipe_from
+from nimprep.derive.recipe import RecipeOptions, recipe_from
 from nimprep.errors import DecodeError, LayoutError, StoreError
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES
+from nimprep.options import options_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import Margins
 from nimprep.store.reader import Store
@@ -33,19 +34,18 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
     """
     about = store.about
     check_changeable(about.format_version, str(store.path))
-    known = {field.name for field in fields(ConvertOptions)}
-    recipe = asdict(recipe_from(about.modalities))
+    recipe = recipe_from(about.modalities)
     margins = astuple(Margins(**about.crop))
-    options = ConvertOptions(
-        **reading,
-        **{name: value for name, value in recipe.items() if name in known},
-        labels="label" in store.modalities,
-        crop=margins if any(margins) else None,
-        modalities=store.modalities,
-        normal_dtype=normal_dtype(store),
-        codec=about.codec,
-        shard_length=shard_length(store),
-    )
+    making = {
+        **{name: getattr(recipe, name) for name in options_of(RecipeOptions)},
+        "labels": "label" in store.modalities,
+        "crop": margins if any(margins) else None,
+        "modalities": store.modalities,
+        "normal_dtype": normal_dtype(store),
+        "codec": about.codec,
+        "shard_length": shard_length(store),
+    }
+    options = ConvertOptions(**reading, **making)
     held = (array.modality for array in store.arrays.values())
     described = describe_modalities(held, options.recipe)
     found = {name: about.modalities[name] for name in store.modalities}

@@ -8,7 +8,7 @@ import secrets
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import DEPTHS, Records, UnitRecord, seal, unseal
 from nimprep.conversion.sources import FileState, changed_files
 from nimprep.errors import StoreError
+from nimprep.options import options_of
 from nimprep.readers.crop import Margins
 from nimprep.store.storage import Storage
 
@@ -30,19 +31,15 @@ _UNITS, _FAILED = "units", "failed.json"
 _AT_ONCE = 16
 """Records read at once: over a network each takes its time, and each is of some 100 KB."""
 
-_FREE = ("workers", "overwrite", "restart", "on_error", "scheduler")
-"""Options that leave the store's bytes as they are, or what is done of them."""
-
-_FILES = ("camera", "description", "split_file")
-"""Options that may name a file, whose contents count."""
-
 
 def option_values(options: ConvertOptions) -> dict[str, Any]:
     """Return the options that tell in the store, as JSON has them; files by their digest."""
-    values = {name: value for name, value in asdict(options).items() if name not in _FREE}
-    for name in _FILES:
-        if isinstance(values[name], (str, Path)):
-            values[name] = _file_digest(Path(values[name]))
+    values = {}
+    for name, option in options_of(ConvertOptions).items():
+        if option.counts:
+            value = getattr(options, name)
+            is_file = Path in option.types and isinstance(value, (str, Path))
+            values[name] = _file_digest(Path(value)) if is_file else value
     return json.loads(json.dumps(values))  # type: ignore[no-any-return]
 
 

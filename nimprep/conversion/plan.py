@@ -16,7 +16,7 @@ from nimprep.conversion.sources import FileState
 from nimprep.derive.recipe import Recipe
 from nimprep.errors import LayoutError, StoreError
 from nimprep.modality import MODALITIES, Modality, given_for
-from nimprep.readers import Reader, open_reader
+from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.schema import schema_problems
 from nimprep.splits import SplitName, SplitRule, assign_splits, splits_from_file
@@ -76,7 +76,7 @@ class Job:
 
     def open_reader(self) -> Reader:
         """Open the source as the plan did."""
-        reader = open_reader(self.source, self.options.reader, self.options.reading)
+        reader = self.options.open_reader(self.source)
         return reader if self.margins is None else CroppedReader(reader, self.margins)
 
     def units(self) -> list[list[str]]:

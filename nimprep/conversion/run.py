@@ -36,7 +36,7 @@ from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import Workspace, check_apart, workspace_at
 from nimprep.errors import DecodeError, LayoutError, NimprepError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
-from nimprep.readers import Reader, open_reader
+from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
 from nimprep.store.access import storage_from
 from nimprep.store.location import is_url
@@ -98,7 +98,7 @@ def convert(
         from nimprep.conversion.distributed import check_scheduler
 
         check_scheduler(options.scheduler)
-    reader = open_reader(source, options.reader, options.reading)
+    reader = options.open_reader(source)
     # Before anything is written: what is wrong with these must not cost a conversion.
     plan_modalities(reader, options)
     plan_splits(reader, options, reader.ids)

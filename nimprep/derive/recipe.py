@@ -11,55 +11,53 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.methods import METHODS, check_method
+from nimprep.derive.methods import FILLS as FILLS
+from nimprep.derive.methods import Fill, Method, check_method
 from nimprep.errors import ArrayError
 from nimprep.frame import VIRTUAL_BASELINE_M, Frame
 from nimprep.modality import MODALITIES
+from nimprep.options import Options, option
 
 DERIVED: tuple[str, ...] = tuple(name for name, m in MODALITIES.items() if m.derived is not None)
 """The modalities that are made from others; those others come from the source."""
 
-FILLS = ("none", "nearest", "linear", "colorization")
-"""How holes in depth can be filled before anything is derived from it."""
+
+@dataclass(frozen=True, kw_only=True)
+class RecipeOptions(Options):
+    """Say what a user may of how the derived modalities are made; see `estimate_normals`."""
+
+    normals: Method = option(
+        "nim",
+        "Normals by the paper's method, or by the one that keeps depth edges and smooths noise.",
+    )
+    sign_filter: bool = option(False, "Normals by NIM with its sign filter.")
+    noise: float | None = option(
+        None,
+        "Standard deviation of inverse depth for nim-edge, 1/m; default: by each frame.",
+        least=0,
+        metavar="PER_METRE",
+    )
+    fill: Fill = option("none", "Fill holes in depth before normals and HHA are made from it.")
+    store_filled: bool = option(False, "Store the filled depth, not the raw one.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_method(self.normals, self.sign_filter, self.noise)
+        if self.store_filled and self.fill == "none":
+            raise ArrayError("store_filled: expected a way to fill, found 'none'; give fill")
 
 
-@dataclass(frozen=True)
-class Recipe:
+@dataclass(frozen=True, kw_only=True)
+class Recipe(RecipeOptions):
     """Say how the derived modalities are made.
 
     Attributes
     ----------
-    normals : str
-        Method of `estimate_normals`.
-    sign_filter : bool
-        Its option of that name.
-    fill : {"none", "nearest", "linear", "colorization"}
-        Method of `fill_depth` for what normals and HHA are made from.
-    store_filled : bool
-        Whether the store holds the filled depth in place of the raw one.
     virtual_baseline_m : float
         Baseline of the disparity of frames that have none, metres.
-    noise : float, optional
-        What `estimate_normals` takes by that name, 1/m.
     """
 
-    normals: str = "nim"
-    sign_filter: bool = False
-    fill: str = "none"
-    store_filled: bool = False
     virtual_baseline_m: float = VIRTUAL_BASELINE_M
-    noise: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.normals not in METHODS:
-            raise ArrayError(
-                f"normals: expected one of {', '.join(METHODS)}, found {self.normals!r}"
-            )
-        check_method(self.normals, self.sign_filter, self.noise)
-        if self.fill not in FILLS:
-            raise ArrayError(f"fill: expected one of {', '.join(FILLS)}, found {self.fill!r}")
-        if self.store_filled and self.fill == "none":
-            raise ArrayError("store_filled: expected a way to fill, found 'none'; give fill")
 
     def describe(self, name: str) -> dict[str, Any]:
         """Return what a store's metadata says of how a modality was made."""

@@ -1,57 +1,60 @@
-"""Readers of raw datasets, by name; a new dataset is one module and one line here."""
+"""Readers of raw datasets, by name; a new dataset is one module and one entry here."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import Literal
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
 
-from nimprep.errors import LayoutError
+from nimprep.errors import LayoutError, OptionError
+from nimprep.options import options_of
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
-from nimprep.readers.cameras import CameraSource
+from nimprep.readers.cameras import camera_from
+from nimprep.readers.options import ReaderName, ReaderOptions
 
 __all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptions", "open_reader"]
 
-READERS: dict[str, str] = {
-    "gmrp": "rgb/, depth_u16/ and label/ with equal file names",
-    "kitti-road": "training/ and testing/ with image_2/, calib/ and gt_image_2/",
-    "folder": "anything a --description FILE.json describes",
-}
-"""Each reader's name and the layout it is for, as `open_reader` and messages say it."""
 
-
-@dataclass(frozen=True)
-class ReaderOptions:
-    """Say what a reader should do differently from its layout's defaults.
+class Layout(NamedTuple):
+    """Describe what a reader is for.
 
     Attributes
     ----------
-    labels : bool
-        Whether labels are read.
-    camera : CameraSource, optional
-        In place of the dataset's own calibration.
-    depth_scale : float, optional
-        Metres per raw depth unit, in place of the layout's.
-    description : Path, optional
-        A folder description; needed by the reader "folder" and by no other.
-    target : {"road", "lane"}
-        Which of KITTI road's ground truths.
-    depth_from : {"auto", "lidar", "stereo", "none"}
-        Where KITTI road's depth comes from; "none" = it will not be read.
-    sparse : bool
-        Leave KITTI road's depth as measured.
+    about : str
+        What is where, for people.
+    open : str
+        "module:function", called with the dataset's folder and, by their names, with the options
+        of `ReaderOptions` that it takes; with `labels` and `depth` too, whether those are read.
+    marks : tuple of str
+        Folders, any of which tells that a dataset has this layout.
     """
 
-    labels: bool = True
-    camera: CameraSource | None = None
-    depth_scale: float | None = None
-    description: Path | None = None
-    target: Literal["road", "lane"] = "road"
-    depth_from: Literal["auto", "lidar", "stereo", "none"] = "auto"
-    sparse: bool = False
+    about: str
+    open: str
+    marks: tuple[str, ...] = ()
 
 
-def sniff(root: Path) -> str:
+READERS: dict[ReaderName, Layout] = {
+    "kitti-road": Layout(
+        "training/ and testing/ with image_2/, calib/ and gt_image_2/",
+        "nimprep.readers.kitti_road:KittiRoadReader",
+        ("training/image_2", "testing/image_2"),
+    ),
+    "gmrp": Layout(
+        "rgb/, depth_u16/ and label/ with equal file names",
+        "nimprep.readers.gmrp:open_gmrp",
+        ("depth_u16", "rgb"),
+    ),
+    "folder": Layout(
+        "anything a --description FILE.json describes", "nimprep.readers.folder:open_folder"
+    ),
+}
+"""The readers, in the order in which their layouts are looked for."""
+
+
+def sniff(root: Path) -> ReaderName:
     """Return the name of the reader whose layout a folder has.
 
     Raises
@@ -61,18 +64,21 @@ def sniff(root: Path) -> str:
     """
     if not root.is_dir():
         raise LayoutError(f"{root}: expected a dataset's folder, found none")
-    if any((root / part / "image_2").is_dir() for part in ("training", "testing")):
-        return "kitti-road"
-    if (root / "depth_u16").is_dir() or (root / "rgb").is_dir():
-        return "gmrp"
-    known = "; ".join(f"{name}: {layout}" for name, layout in READERS.items())
+    for name, layout in READERS.items():
+        if any((root / mark).is_dir() for mark in layout.marks):
+            return name
+    known = "; ".join(f"{name}: {layout.about}" for name, layout in READERS.items())
     entries = sorted(p.name for p in root.iterdir())[:5]
     found = ", ".join(entries) if entries else "an empty folder"
     raise LayoutError(f"{root}: expected a known layout ({known}), found {found}")
 
 
 def open_reader(
-    root: Path | str, name: str = "auto", options: ReaderOptions | None = None
+    root: Path | str,
+    options: ReaderOptions | None = None,
+    *,
+    labels: bool = True,
+    depth: bool = True,
 ) -> Reader:
     """Open a raw dataset.
 
@@ -80,57 +86,54 @@ def open_reader(
     ----------
     root : Path
         Its folder.
-    name : str
-        A name in `READERS`; "auto" = "folder" with a description, else by the folder's layout.
+    options : ReaderOptions, optional
+        Reader "auto" = "folder" with a description, else by the folder's layout.
+    labels, depth : bool
+        Whether they will be read; if not, they need not be there.
 
     Raises
     ------
     LayoutError
-        The folder is not what the reader expects, or there is no reader of that name.
+        The folder is not what the reader expects.
+    OptionError
+        The reader does not take an option that is given, or needs one that is not.
+    CameraError
+        The camera's file or numbers make no camera.
     """
     root, options = Path(root), options or ReaderOptions()
+    name = options.reader
     if name == "auto":
         name = "folder" if options.description else sniff(root)
-    if name not in READERS:
-        raise LayoutError(f"reader: expected one of {', '.join(READERS)}, found {name!r}")
-    if (name == "folder") != (options.description is not None):
-        raise LayoutError(
-            f"{root}: expected a description with the reader 'folder' and with no other, found "
-            f"{options.description or 'none'} with {name!r}"
+    make = resolve_name(READERS[name].open)
+    parameters = signature(make).parameters
+    given = {
+        each.name: value
+        for each in options_of(ReaderOptions).values()
+        if each.name != "reader" and (value := getattr(options, each.name)) != each.default
+    }
+    _check_taken(name, given, parameters)
+    if "camera" in given:
+        given["camera"] = camera_from(given["camera"])
+    wanted = {n: read for n, read in (("labels", labels), ("depth", depth)) if n in parameters}
+    reader: Reader = make(root, **wanted, **given)
+    return reader
+
+
+def _check_taken(
+    reader: str, given: Mapping[str, Any], parameters: Mapping[str, Parameter]
+) -> None:
+    """Raise `OptionError` where a reader does not take what is given, or is not given all."""
+    options = [name for name in options_of(ReaderOptions) if name in parameters]
+    for name in given.keys() - options:
+        known = ", ".join(map(_flag, options))
+        raise OptionError(
+            f"{_flag(name)}: expected options of the reader {reader} ({known}), found "
+            f"{str(given[name])!r}; leave it out"
         )
-    if name == "folder":
-        from nimprep.readers.description import description_from_file
-        from nimprep.readers.folder import FolderReader
-
-        described = description_from_file(options.description or "")
-        return FolderReader(
-            root,
-            described,
-            labels=options.labels,
-            camera=options.camera,
-            depth_scale=options.depth_scale,
-        )
-    if name == "kitti-road":
-        return _open_kitti_road(root, options)
-    from nimprep.readers.gmrp import open_gmrp
-
-    return open_gmrp(
-        root, labels=options.labels, camera=options.camera, depth_scale=options.depth_scale
-    )
+    for name in options:
+        if name not in given and parameters[name].default is Parameter.empty:
+            raise OptionError(f"{_flag(name)}: expected it with the reader {reader}, found none")
 
 
-def _open_kitti_road(root: Path, options: ReaderOptions) -> Reader:
-    from nimprep.readers.kitti_road import KittiRoadReader
-
-    if options.camera is not None or options.depth_scale is not None:
-        raise LayoutError(
-            f"{root}: expected KITTI road's own calibration and depth unit, found options that "
-            "replace them; leave out --camera, --intrinsics and --depth-scale"
-        )
-    return KittiRoadReader(
-        root,
-        labels=options.labels,
-        target=options.target,
-        depth=options.depth_from,
-        sparse=options.sparse,
-    )
+def _flag(name: str) -> str:
+    return "--camera or --intrinsics" if name == "camera" else f"--{name.replace('_', '-')}"

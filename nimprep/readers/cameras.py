@@ -58,6 +58,13 @@ def nominal_camera() -> CameraSource:
     return CameraSource("nominal", "nominal RealSense D415")
 
 
+def camera_from(given: Path | str | tuple[float, float, float, float]) -> CameraSource:
+    """Return the camera that the user gave, by a file or by its numbers."""
+    if isinstance(given, (str, Path)):
+        return camera_from_file(Path(given))
+    return camera_from_intrinsics(given)
+
+
 def camera_from_intrinsics(intrinsics: tuple[float, float, float, float]) -> CameraSource:
     """Return the camera of numbers the user gave: (fx, fy, cx, cy), pixels."""
     Camera(*intrinsics, width=1, height=1)

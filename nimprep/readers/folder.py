@@ -20,7 +20,12 @@ from nimprep.readers.cameras import (
     camera_from_file,
     nominal_camera,
 )
-from nimprep.readers.description import Description, files_by_id, group_of
+from nimprep.readers.description import (
+    Description,
+    description_from_file,
+    files_by_id,
+    group_of,
+)
 from nimprep.readers.frames import check_label, check_same_shape, depth_in_metres, match_frames
 
 _NOMINAL_NOTE = (
@@ -169,3 +174,19 @@ class FolderReader(ReaderBase):
                 )
             mapped.append(known)
         return np.array(mapped, dtype=np.uint8)[where].reshape(codes.shape)
+
+
+def open_folder(
+    root: Path | str,
+    *,
+    description: Path | str,
+    labels: bool = True,
+    camera: CameraSource | None = None,
+    depth_scale: float | None = None,
+) -> FolderReader:
+    """Open a folder by the file that describes it.
+
+    Parameters are those of `FolderReader`.
+    """
+    described = description_from_file(description)
+    return FolderReader(root, described, labels=labels, camera=camera, depth_scale=depth_scale)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,7 @@ from nimprep.kitti.depth import (
 )
 from nimprep.kitti.images import read_ground_truth
 from nimprep.kitti.layout import RoadFiles, list_road_files
-from nimprep.kitti.names import TARGETS, Target, frame_category
+from nimprep.kitti.names import TARGETS, DepthFrom, Target, frame_category
 from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.splits import SplitName
@@ -62,8 +62,10 @@ class KittiRoadReader(ReaderBase):
         Whether to read gt_image_2; without, it need not be there.
     target : {"road", "lane"}
         Which ground truth; lane takes the um frames alone.
-    depth : {"auto", "lidar", "stereo", "none"}
-        Where depth comes from; "none" = it will not be read and nothing need be there for it.
+    depth : bool
+        Whether depth will be read; if not, nothing need be there for it.
+    depth_from : {"auto", "lidar", "stereo"}
+        Where it comes from.
     sparse : bool
         Leave LiDAR and stereo as measured.
 
@@ -79,7 +81,8 @@ class KittiRoadReader(ReaderBase):
         *,
         labels: bool = True,
         target: Target = "road",
-        depth: Literal["auto", "lidar", "stereo", "none"] = "auto",
+        depth: bool = True,
+        depth_from: DepthFrom = "auto",
         sparse: bool = False,
     ) -> None:
         self.root = Path(root)
@@ -94,16 +97,16 @@ class KittiRoadReader(ReaderBase):
                     f"found {files.image.name!r}"
                 )
             if category in TARGETS[target]:
-                self._add(files, depth)
+                self._add(files, depth_from if depth else None)
         if not self._files:
             raise LayoutError(f"{self.root}: expected um frames for the target lane, found none")
         self.ids = tuple(sorted(self._files))
         self.info = DatasetInfo("kitti-road", _classes(target) if labels else (), "file")
 
-    def _add(self, files: RoadFiles, depth: Literal["auto", "lidar", "stereo", "none"]) -> None:
+    def _add(self, files: RoadFiles, depth_from: DepthFrom | None) -> None:
         self._files[files.id] = files
-        if depth != "none":
-            self._depth[files.id] = choose_source(files, depth, self._sparse)
+        if depth_from is not None:
+            self._depth[files.id] = choose_source(files, depth_from, self._sparse)
         truth = files.ground_truth(self._target)
         if self._labels and files.split != "testing" and not truth.is_file():
             raise LayoutError(

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, NotRequired, TypedDict
+from typing import Any, Literal, NotRequired, TypedDict
 
-from nimprep.splits import SplitName
+from nimprep.splits import SplitName, SplitRule
 
 
 class Split(TypedDict):
     """Say by which rule a store is split; that of a file has no seed."""
 
-    rule: str
+    rule: SplitRule | Literal["file"]
     seed: NotRequired[int]
 
 
