@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nimprep.camera import Camera as Camera
     from nimprep.compilation.warmup import warm_up as warm_up
-    from nimprep.conversion.append import AppendOptions as AppendOptions
     from nimprep.conversion.append import append_frames as append_frames
     from nimprep.conversion.merge import merge_stores as merge_stores
+    from nimprep.conversion.options import AppendOptions as AppendOptions
     from nimprep.conversion.options import ConvertOptions as ConvertOptions
     from nimprep.conversion.run import convert as convert
     from nimprep.derive.completion import fill_depth as fill_depth
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "AppendOptions": "nimprep.conversion.append",
+    "AppendOptions": "nimprep.conversion.options",
     "Camera": "nimprep.camera",
     "ConvertOptions": "nimprep.conversion.options",
     "Frame": "nimprep.frame",

@@ -91,12 +91,13 @@ class Options:
 
 def documented(made: Made) -> Made:
     """Add its options to the documentation of a dataclass."""
-    lines = [made.__doc__ or "", "", "    Attributes", "    ----------"]
+    lines = [(made.__doc__ or "").rstrip(), "", "    Attributes", "    ----------"]
     for each in fields(made):
         found = options_of(made)[each.name]
         choices = f"{{{', '.join(map(repr, found.choices))}}}"
         lines.append(f"    {each.name} : {choices if found.choices else each.type}")
-        said = f"False: {found.help}" if found.default is True else found.help
-        lines.append(f"        {said} Default: {found.default!r}.".replace("  D", " D"))
+        said = [f"False: {found.help}" if found.default is True else found.help]
+        said += [] if "default:" in found.help else [f"Default: {found.default!r}."]
+        lines.append(f"        {' '.join(filter(None, said))}")
     made.__doc__ = "\n".join([*lines, "    "])
     return made

@@ -22,7 +22,7 @@ import nimprep
 from nimprep import Camera
 from nimprep.frame import VIRTUAL_BASELINE_M
 from nimprep.parallel import available_cores
-from nimprep.readers import ReaderOptions, open_reader
+from nimprep.readers import open_reader
 from nimprep.synthetic import render_frame
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -47,7 +47,7 @@ def cases() -> list[Case]:
     for folder in ("gmrp", "kitti_road"):
         if not (DATA / folder).is_dir():
             continue
-        reader = open_reader(DATA / folder, "auto", ReaderOptions())
+        reader = open_reader(DATA / folder)
         for name in reader.ids:
             frame = reader.read(name, ("depth", "label"))
             known = np.isfinite(frame.baseline_m)

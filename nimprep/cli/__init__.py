@@ -17,7 +17,7 @@ import click
 
 from nimprep import __version__
 from nimprep.cli.echo import echo
-from nimprep.errors import NimprepError
+from nimprep.errors import NimprepError, OptionError
 from nimprep.text import printable
 
 _COMMANDS = {
@@ -78,6 +78,8 @@ class _LazyGroup(click.Group):
                 warnings.simplefilter("default", UserWarning)
                 warnings.showwarning = _show_warning
                 return super().invoke(ctx)
+        except OptionError as error:
+            fail(str(error), 2)
         except NimprepError as error:
             fail("; ".join((str(error), *getattr(error, "__notes__", ()))))
         except FileNotFoundError:
@@ -119,10 +121,10 @@ def _show_warning(message: Warning | str, *rest: Any, **named: Any) -> None:
     echo(f"warning: {' '.join(str(message).split())}", err=True)
 
 
-def fail(message: str) -> NoReturn:
-    """Print one line to stderr and exit 1: the data is bad."""
+def fail(message: str, code: int = 1) -> NoReturn:
+    """Print one line to stderr and exit 1: the data is bad; or 2: the call is wrong."""
     echo(f"error: {' '.join(message.split())}", err=True)
-    sys.exit(1)
+    sys.exit(code)
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from nimprep.cli.echo import echo
+from nimprep.errors import ArrayError
+from nimprep.options import Option, options_of
 from nimprep.text import printable
 
 if TYPE_CHECKING:
     from nimprep.parallel import Progress
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+Made = TypeVar("Made")
 
 
 def parse_numbers(value: str, names: str, kind: type[int] | type[float]) -> tuple[Any, ...]:
@@ -51,65 +54,98 @@ def _intrinsics(
     return fx, fy, cx, cy
 
 
-_READING = (
-    click.option(
-        "--reader",
-        type=click.Choice(["auto", "gmrp", "kitti-road", "folder"]),
-        default="auto",
-        help="Layout of SRC; default: by its folders.",
-    ),
-    click.option(
-        "--description",
-        type=click.Path(path_type=Path),
-        help="JSON description of a folder dataset (schemas/folder.schema.json).",
-    ),
-    click.option("--camera", type=click.Path(path_type=Path), help="Camera file, JSON."),
-    click.option(
-        "--intrinsics",
-        callback=_intrinsics,
-        metavar="FX,FY,CX,CY",
-        help="Camera as numbers, pixels.",
-    ),
-    click.option(
-        "--depth-scale", type=click.FloatRange(1e-9, 1000), help="Metres per raw depth unit."
-    ),
-    click.option(
-        "--target",
-        type=click.Choice(["road", "lane"]),
-        default="road",
-        show_default=True,
-        help="Which of KITTI road's ground truths.",
-    ),
-    click.option(
-        "--depth-from",
-        type=click.Choice(["auto", "lidar", "stereo"]),
-        default="auto",
-        show_default=True,
-        help="Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo.",
-    ),
-    click.option("--sparse", is_flag=True, help="Leave KITTI road's depth as measured."),
+def _crop(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    if value is None or value == "auto":
+        return value
+    margins = parse_numbers(value, "top,bottom,left,right", int)
+    if min(margins) < 0:
+        raise click.BadParameter(f"expected pixels to cut off, 0 or more, found {value!r}")
+    return margins
+
+
+def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str] | None:
+    return None if value is None else value.split(",")
+
+
+_PARSED: dict[str, Callable[..., Any]] = {"crop": _crop, "modalities": _names}
+"""What is read in a way of its own."""
+
+quiet_option = click.option("--quiet", "-q", is_flag=True, help="No progress bar.")
+
+_intrinsics_option = click.option(
+    "--intrinsics",
+    callback=_intrinsics,
+    metavar="FX,FY,CX,CY",
+    help="Camera as numbers, pixels.",
+)
+
+_allow_skipped = click.option(
+    "--allow-skipped",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Frames that may be left out before the exit code is 1.",
 )
 
 
-def reading_options(command: Command) -> Command:
-    """Add the options that say how a raw dataset is read."""
-    for option in reversed(_READING):
-        command = option(command)
-    return command
+def options_from(made: Any) -> Callable[[Command], Command]:
+    """Add the options of a dataclass, and those that go with them, to a command."""
+    # How the work is done comes last.
+    said = sorted(options_of(made).values(), key=lambda each: not each.counts)
+    every = [_option(each) for each in said]
+    every.insert([each.name for each in said].index("camera") + 1, _intrinsics_option)
+    every += [_allow_skipped, quiet_option]
+
+    def add(command: Command) -> Command:
+        for each in reversed(every):
+            command = each(command)
+        return command
+
+    return add
 
 
-def given_camera(given: dict[str, Any]) -> Any:
-    """Take --camera and --intrinsics out of the options given; return which was.
+def _option(said: Option) -> Callable[[Command], Command]:
+    """Return the option of a command that a field says."""
+    name = said.name.replace("_", "-")
+    if bool in said.types:
+        flag = f"--no-{name}" if said.default else f"--{name}"
+        return click.option(
+            flag, said.name, flag_value=not said.default, default=said.default, help=said.help
+        )
+    bounds: Any = (said.least, said.most)
+    kinds: dict[Any, Any] = {
+        Path: click.Path(path_type=Path),
+        float: click.FloatRange(*bounds),
+        int: click.INT if said.least is None else click.IntRange(*bounds),
+    }
+    kind = click.Choice(said.choices) if said.choices else None
+    return click.option(
+        f"--{name}",
+        type=kind or next((kinds[t] for t in kinds if t in said.types), None),
+        callback=_PARSED.get(said.name),
+        default=said.default,
+        show_default=said.default is not None and "default:" not in said.help,
+        metavar=said.metavar,
+        help=said.help or None,
+    )
+
+
+def options_given(made: Callable[..., Made], given: dict[str, Any]) -> Made:
+    """Return the options that were given to a command.
 
     Raises
     ------
     click.UsageError
-        Both were.
+        They do not go together.
     """
-    camera, intrinsics = given.pop("camera"), given.pop("intrinsics")
-    if camera and intrinsics:
+    intrinsics = given.pop("intrinsics")
+    if given["camera"] and intrinsics:
         raise click.UsageError("expected --camera or --intrinsics, found both")
-    return camera or intrinsics
+    try:
+        return made(**{**given, "camera": given["camera"] or intrinsics})
+    except ArrayError as error:
+        name, _, rest = str(error).partition(": ")
+        raise click.UsageError(f"--{name.replace('_', '-')}: {rest}") from error
 
 
 def progress_bars(quiet: bool) -> Progress:
@@ -149,5 +185,4 @@ def report_skipped(store: object, skipped: Sequence[Mapping[str, str]], allowed:
         sys.exit(1)
 
 
-quiet_option = click.option("--quiet", "-q", is_flag=True, help="No progress bar.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")

@@ -11,7 +11,7 @@ from typing import Any
 from nimprep.conversion.compatibility import check_frames, options_like, padded_size
 from nimprep.conversion.growth import grow, grown_splits
 from nimprep.conversion.journal import kept_journal
-from nimprep.conversion.options import RunOptions
+from nimprep.conversion.options import AppendOptions as AppendOptions
 from nimprep.conversion.plan import Base, Plan
 from nimprep.conversion.records import Records, SkippedFrame
 from nimprep.conversion.run import encode, make_plan
@@ -25,24 +25,12 @@ from nimprep.conversion.workspace import (
     root_digest,
 )
 from nimprep.errors import StoreError
-from nimprep.options import documented, option
 from nimprep.parallel import Progress, no_progress
-from nimprep.readers import Reader, ReaderOptions
+from nimprep.readers import Reader
 from nimprep.readers.subset import SubsetReader
 from nimprep.store.extras import check_growable
 from nimprep.store.metadata import read_attributes
 from nimprep.store.reader import Store, open_store
-
-
-@documented
-@dataclass(frozen=True, kw_only=True)
-class AppendOptions(RunOptions, ReaderOptions):
-    """Say how the frames of SRC are read that join STORE; what is made of them, the store says.
-
-    How they are read is to be said as it was for the store.
-    """
-
-    skip_existing: bool = option(False, "Leave out frames that STORE has; else they are an error.")
 
 
 @dataclass(frozen=True)

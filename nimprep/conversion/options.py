@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict
 
+from nimprep.derive.methods import Fill, Method
 from nimprep.derive.recipe import Recipe, RecipeOptions
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES, given_for, modality_name
 from nimprep.options import Options, documented, option
 from nimprep.readers import Reader, ReaderOptions, open_reader
+from nimprep.readers.options import ReaderKeywords
 from nimprep.splits import SplitRule
 from nimprep.store.spec import SHARD_LENGTH, Codec
 
@@ -91,3 +93,49 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
     def recipe(self) -> Recipe:
         """How derived modalities are made."""
         return Recipe(**{f.name: getattr(self, f.name) for f in fields(RecipeOptions)})
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class AppendOptions(RunOptions, ReaderOptions):
+    """Say how the frames of SRC are read that join STORE; what is made of them, the store says.
+
+    How they are read is to be said as it was for the store.
+    """
+
+    skip_existing: bool = option(False, "Leave out frames that STORE has; else they are an error.")
+
+
+class RunKeywords(TypedDict, total=False):
+    """Name the fields of `RunOptions` as keyword arguments."""
+
+    workers: int | None
+    restart: bool
+    on_error: Literal["stop", "skip"]
+
+
+class ConvertKeywords(RunKeywords, ReaderKeywords, total=False):
+    """Name the fields of `ConvertOptions` as keyword arguments."""
+
+    normals: Method
+    sign_filter: bool
+    noise: float | None
+    fill: Fill
+    store_filled: bool
+    crop: Literal["auto"] | tuple[int, int, int, int] | None
+    labels: bool
+    modalities: Sequence[str] | None
+    normal_dtype: Literal["int8", "int16"]
+    codec: Codec
+    split_by: SplitRule | None
+    split_file: Path | str | None
+    seed: int
+    shard_length: int
+    scheduler: str | None
+    overwrite: bool
+
+
+class AppendKeywords(RunKeywords, ReaderKeywords, total=False):
+    """Name the fields of `AppendOptions` as keyword arguments."""
+
+    skip_existing: bool

@@ -124,8 +124,8 @@ def _check_taken(
 ) -> None:
     """Raise `OptionError` where a reader does not take what is given, or is not given all."""
     options = [name for name in options_of(ReaderOptions) if name in parameters]
-    for name in given.keys() - options:
-        known = ", ".join(map(_flag, options))
+    known = ", ".join(map(_flag, options))
+    for name in (name for name in given if name not in options):
         raise OptionError(
             f"{_flag(name)}: expected options of the reader {reader} ({known}), found "
             f"{str(given[name])!r}; leave it out"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict
 
 from nimprep.kitti.names import DepthFrom, Target
 from nimprep.options import Options, documented, option
@@ -33,3 +33,15 @@ class ReaderOptions(Options):
         "auto", "Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo."
     )
     sparse: bool = option(False, "Leave KITTI road's depth as measured.")
+
+
+class ReaderKeywords(TypedDict, total=False):
+    """Name the fields of `ReaderOptions` as keyword arguments."""
+
+    reader: ReaderName
+    description: Path | str | None
+    camera: Path | str | tuple[float, float, float, float] | None
+    depth_scale: float | None
+    target: Target
+    depth_from: DepthFrom
+    sparse: bool

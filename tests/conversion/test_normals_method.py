@@ -64,8 +64,11 @@ def test_a_deep_validation_finds_normals_of_another_method(raw: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--normals", "nim-edge", "--sign-filter"), "expected --sign-filter with --normals nim"),
-        (("--noise", "0.1"), "expected --noise with --normals nim-edge, found nim"),
+        (
+            ("--normals", "nim-edge", "--sign-filter"),
+            "--sign-filter: expected False with 'nim-edge', found True",
+        ),
+        (("--noise", "0.1"), "--noise: expected None with 'nim', found 0.1; 'nim-edge' has it"),
         (("--normals", "nim-edge", "--noise", "-1"), "-1"),
         (("--normals", "sobel"), "'sobel' is not one of"),
     ],

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from nimprep import Camera, estimate_elevation, estimate_road_plane, road_plane
 from nimprep.errors import ArrayError
-from nimprep.readers import ReaderOptions, open_reader
+from nimprep.readers import open_reader
 from nimprep.synthetic import render_frame
 from tests.derive.roads import CAMERA, ROADS, plane_of, rays, road_depth, with_boards
 
@@ -99,7 +99,7 @@ def test_a_synthetic_streets_road_is_near_0(index):
 
 def test_the_roads_of_real_frames_are_near_0(reference_data):
     for folder, limit in (("gmrp", 0.05), ("kitti_road", 0.12)):
-        reader = open_reader(reference_data / folder, "auto", ReaderOptions())
+        reader = open_reader(reference_data / folder)
         for name in reader.ids:
             frame = reader.read(name, ("depth", "label"))
             road = (frame.label == 1) & (frame.depth_m > 0) & (frame.depth_m < 20)

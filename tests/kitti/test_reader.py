@@ -121,7 +121,7 @@ def test_the_depths_source_is_known_per_frame(root: Path) -> None:
 def test_frames_can_be_read_without_any_depth(root: Path) -> None:
     for path in (root / "training" / "depth_u16").iterdir():
         path.unlink()
-    reader = KittiRoadReader(root, depth="none")
+    reader = KittiRoadReader(root, depth=False)
     assert reader.depth_source("training/um_000000") is None
     assert reader.read("training/um_000000").depth_m is None
 
@@ -142,7 +142,7 @@ def test_every_size_of_the_benchmark_is_read(tmp_path: Path) -> None:
         write_png(folder / "image_2" / f"{name}.png", np.zeros((height, width, 3), np.uint8))
         p2 = np.array([[fx, 0, 600, 45], [0, fx, 180, 0.2], [0, 0, 1, 0.003]])
         write_calibration(folder / "calib" / f"{name}.txt", P2=p2)
-    reader = KittiRoadReader(tmp_path / "road", depth="none")
+    reader = KittiRoadReader(tmp_path / "road", depth=False)
     assert [reader.shape(i) for i in reader.ids] == list(FRAME_SHAPES.values())
     assert [reader.read(i).camera.shape for i in reader.ids] == list(FRAME_SHAPES.values())
 

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nimprep.errors import DecodeError, LayoutError
+from nimprep.errors import DecodeError, LayoutError, OptionError
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.base import Reader
 from nimprep.readers.description import files_by_id, group_of
@@ -38,7 +38,7 @@ def test_gmrp_described_reads_as_the_reader_gmrp_reads_it(tmp_path: Path) -> Non
     root = write_gmrp(tmp_path / "gmrp")
     path = tmp_path / "gmrp.json"
     path.write_text(json.dumps(GMRP_DESCRIBED))
-    ours, theirs = described(root, path), open_reader(root, "gmrp")
+    ours, theirs = described(root, path), open_reader(root, ReaderOptions(reader="gmrp"))
     assert ours.ids == theirs.ids
     assert ours.info == theirs.info
     for frame_id in ours.ids:
@@ -199,10 +199,10 @@ def test_a_description_that_cannot_be_is_refused(
 
 def test_a_description_goes_with_the_reader_folder_alone(tmp_path: Path) -> None:
     root, path = write_nyu_like(tmp_path / "nyu")
-    with pytest.raises(LayoutError, match="with 'gmrp'"):
-        open_reader(root, "gmrp", ReaderOptions(description=path))
-    with pytest.raises(LayoutError, match="none with 'folder'"):
-        open_reader(root, "folder")
+    with pytest.raises(OptionError, match="--description: expected options of the reader gmrp"):
+        open_reader(root, ReaderOptions(reader="gmrp", description=path))
+    with pytest.raises(OptionError, match="--description: expected it with the reader folder"):
+        open_reader(root, ReaderOptions(reader="folder"))
 
 
 def test_stars_stay_in_a_folder_and_double_stars_cross(tmp_path: Path) -> None:

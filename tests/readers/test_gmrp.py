@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from nimprep.errors import CameraError, DecodeError, LayoutError, NimprepError
+from nimprep.errors import ArrayError, CameraError, DecodeError, LayoutError, NimprepError
 from nimprep.readers import ReaderOptions, open_reader
-from nimprep.readers.cameras import camera_from_intrinsics
 from nimprep.readers.crop import CroppedReader, Margins, find_invalid_sides
 from tests.fakes import SIZE, depth_image, write_gmrp, write_png
 
@@ -55,7 +54,7 @@ def test_without_calibration_the_nominal_camera_is_taken_and_said(gmrp: Path) ->
 
 
 def test_given_intrinsics_are_the_users(gmrp: Path) -> None:
-    options = ReaderOptions(camera=camera_from_intrinsics((30, 31, 15, 11)))
+    options = ReaderOptions(camera=(30, 31, 15, 11))
     reader = open_reader(gmrp, options=options)
     assert reader.info.calibration == "user"
     assert reader.read("000000").camera.fy == 31
@@ -119,8 +118,8 @@ def test_an_empty_folder_is_said_to_be_empty(tmp_path: Path) -> None:
 
 
 def test_an_unknown_reader_is_refused_with_those_there_are(gmrp: Path) -> None:
-    with pytest.raises(LayoutError, match="gmrp"):
-        open_reader(gmrp, "kitty")
+    with pytest.raises(ArrayError, match="gmrp"):
+        ReaderOptions(reader="kitty")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("folder", ["rgb", "depth_u16", "label"])
@@ -134,7 +133,7 @@ def test_labels_need_not_be_there_when_not_asked_for(tmp_path: Path) -> None:
     root = write_gmrp(tmp_path / "gmrp", labels=False)
     with pytest.raises(LayoutError, match="--no-labels"):
         open_reader(root)
-    reader = open_reader(root, options=ReaderOptions(labels=False))
+    reader = open_reader(root, labels=False)
     assert reader.read("000000").label is None
     assert reader.info.classes == ()
 
