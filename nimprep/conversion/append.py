@@ -6,11 +6,12 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 from nimprep.conversion.compatibility import check_frames, options_like, padded_size
 from nimprep.conversion.growth import grow, grown_splits
 from nimprep.conversion.journal import kept_journal
+from nimprep.conversion.options import AppendKeywords
 from nimprep.conversion.options import AppendOptions as AppendOptions
 from nimprep.conversion.plan import Base, Plan
 from nimprep.conversion.records import Records, SkippedFrame
@@ -61,7 +62,7 @@ def append_frames(
     options: AppendOptions | None = None,
     *,
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[AppendKeywords],
 ) -> Appended:
     """Add a raw dataset's frames to a store of the same kind.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 from nimprep.conversion.encode import encode_units
 from nimprep.conversion.gaps import (
@@ -19,7 +19,7 @@ from nimprep.conversion.gaps import (
     packing_goes_on,
 )
 from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
-from nimprep.conversion.options import ConvertOptions
+from nimprep.conversion.options import ConvertKeywords, ConvertOptions
 from nimprep.conversion.plan import (
     Base,
     Job,
@@ -47,22 +47,22 @@ from nimprep.store.writer import StoreWriter
 
 def convert(
     source: Path | str,
-    target: Path | str | Storage,
+    out: Path | str | Storage,
     options: ConvertOptions | None = None,
     *,
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[ConvertKeywords],
 ) -> Store:
     """Convert a raw dataset into a store.
 
     Cut short, by a fault or by a kill, it leaves what was done in a hidden folder beside the
-    target; the same call then goes on from there and ends with the same bytes.
+    place of `out`; the same call then goes on from there and ends with the same bytes.
 
     Parameters
     ----------
     source : path
         The dataset's folder; nothing in it is written to.
-    target : path or URL
+    out : path or URL
         The store's folder, ending in .zarr by custom. It is written in a hidden folder beside its
         place and gets its name when it is complete; until then what is there stays. Of a URL, see
         `nimprep.conversion.object_workspace`.
@@ -90,7 +90,7 @@ def convert(
     options = replace(options or ConvertOptions(), **changes)
     if is_url(source):
         raise LayoutError(f"{source}: expected a folder to read, local or mounted, found a URL")
-    source, storage = Path(source), storage_from(target)
+    source, storage = Path(source), storage_from(out)
     if storage.root is not None:
         check_apart(source, storage.root)
     start = progress or no_progress

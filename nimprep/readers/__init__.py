@@ -128,7 +128,7 @@ def _check_taken(
     for name in (name for name in given if name not in options):
         raise OptionError(
             f"{_flag(name)}: expected options of the reader {reader} ({known}), found "
-            f"{str(given[name])!r}; leave it out"
+            f"{str(given[name])!r}; leave out {_flag(name)}"
         )
     for name in options:
         if name not in given and parameters[name].default is Parameter.empty:
