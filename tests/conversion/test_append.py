@@ -119,10 +119,10 @@ def test_only_the_shard_where_old_and_new_meet_is_put_together(
     written: list[str] = []
     write = StoreWriter.write_shard
 
-    def noted(self: StoreWriter, modality: str, shard: int, chunks: Sequence[bytes]) -> None:
+    def noted(self: StoreWriter, modality: str, shard: int, chunks: Sequence[bytes]) -> int:
         if "joined" in str(self.storage):
             written.append(self.shard_key(modality, shard))
-        write(self, modality, shard, chunks)
+        return write(self, modality, shard, chunks)
 
     monkeypatch.setattr(StoreWriter, "write_shard", noted)
     done = nimprep.append_frames(more, store)
