@@ -2,7 +2,8 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +173,78 @@ def test_a_reader_opened_before_its_store_was_replaced_never_gives_the_new_image
                 array.read(frame)
     new = nimprep.open_store(store)
     assert np.array_equal(new[3].rgb, nimprep.open_store(versions[1])[3].rgb)
+
+
+def grow(store: Path, versions: list[Path], folder: Path) -> None:
+    """Append frames: the last shard, in which old and new meet, becomes another file."""
+    more = write_version(folder / "more", 0)
+    for path in more.rglob("*.png"):
+        path.rename(path.with_name(f"1{path.name}"))
+    nimprep.append_frames(more, store, camera=OPTIONS["camera"])
+
+
+def replace(store: Path, versions: list[Path], folder: Path) -> None:
+    nimprep.convert(versions[1].parent / "1", store, **OPTIONS, overwrite=True)
+
+
+def samples(batches: Any) -> Iterator[list[Any]]:
+    for batch in batches:
+        for frame_id, image, label in zip(
+            batch["id"], batch["inputs"], batch["label"], strict=True
+        ):
+            yield [frame_id, image.numpy(), label.numpy()]
+
+
+def forked(data: StoreDataset) -> Iterator[list[Any]]:
+    loader = DataLoader(data, num_workers=1, prefetch_factor=1, multiprocessing_context="fork")
+    batches: Any = iter(loader)
+    try:
+        yield from samples(batches)
+    finally:
+        # An error's traceback would keep it.
+        batches._shutdown_workers()
+
+
+READERS: dict[str, Callable[[StoreDataset], Iterator[list[Any]]]] = {
+    "Store": lambda data: ([f.id, f.rgb, f.depth_m, f.label] for f in data.store),
+    "StoreDataset": lambda data: (
+        [s["id"], s["inputs"].numpy(), s["label"].numpy()] for s in map(data.__getitem__, ALL)
+    ),
+    "StoreLoader": lambda data: samples(StoreLoader(data, num_threads=1, prefetch=1)),
+    "forked worker": forked,
+}
+"""By a reader's name, what it gives of each frame in turn."""
+
+ALL = range(FRAMES)
+
+
+@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize("change", [grow, replace])
+@pytest.mark.parametrize("name", READERS)
+def test_a_reader_opened_before_a_change_gives_its_own_images_or_an_error(
+    name: str,
+    change: Callable[..., None],
+    begun: bool,
+    store: Path,
+    versions: list[Path],
+    tmp_path: Path,
+) -> None:
+    data = StoreDataset(store, split=None, setup="rgb+d")
+    expected = list(READERS[name](StoreDataset(versions[0], split=None, setup="rgb+d")))
+    reading = READERS[name](data)
+    # With the frame that is read first, a worker may read the two after it before the change.
+    found = [next(reading)] if begun else []
+    change(store, versions, tmp_path)
+    with (
+        pytest.raises(StoreError, match="open it again if it was replaced")
+        if change is replace
+        else nullcontext()
+    ):
+        found += reading
+    assert len(found) < FRAMES if change is replace else len(found) == FRAMES
+    for ours, theirs in zip(found, expected, strict=False):
+        assert ours[0] == theirs[0]
+        assert all(np.array_equal(a, b) for a, b in zip(ours[1:], theirs[1:], strict=True))
 
 
 def changed_tables(versions: list[Path]) -> list[str]:
