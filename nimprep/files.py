@@ -227,11 +227,11 @@ def _replaced(out: Path, overwrite: bool, error: type[NimprepError]) -> os.stat_
     """Return the state of what is to be replaced, None = nothing; raise where it must stay."""
     state = _state(out)
     if state is not None and stat.S_ISDIR(state.st_mode):
-        raise error(f"{out}: expected a file to write, found a folder")
+        raise error(f"{out}: expected a file to write, found a folder; name a file in it")
     if _is_stream(out):
         return state
     if state is not None and not stat.S_ISREG(state.st_mode):
-        raise error(f"{out}: expected a file to write, found a device or a socket")
+        raise error(f"{out}: expected a file to write, found a device or a socket; name another")
     link = out.is_symlink()
     if link and str(out.readlink()).startswith("/proc/"):
         # Such as /dev/stdout: the link itself must never be replaced.

@@ -87,7 +87,9 @@ def check_folder(
     with told(out, error):
         refuse_inside(out, *sources, error=error)
         if out.is_symlink() or (out.exists() and not out.is_dir()):
-            raise error(f"{out}: expected a new or empty folder, found a file or link")
+            raise error(
+                f"{out}: expected a new or empty folder, found a file or link; choose another"
+            )
         names = [path.name for path in out.iterdir() if path != but] if out.is_dir() else []
         if names:
             raise error(

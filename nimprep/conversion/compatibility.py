@@ -75,7 +75,8 @@ def shard_length(store: Store) -> int:
     lengths = {array.shard_length for array in store.arrays.values()}
     if len(lengths) > 1:
         raise StoreError(
-            f"{store.path}: expected arrays of one shard length, found {sorted(lengths)}"
+            f"{store.path}: expected arrays of one shard length, found {sorted(lengths)}; "
+            "convert it again with one"
         )
     return lengths.pop()
 
@@ -100,12 +101,12 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
     if reader.info.name != name:
         raise LayoutError(
             f"{reader.root}: expected frames of the dataset {name!r}, which the store's are, "
-            f"found {reader.info.name!r}"
+            f"found {reader.info.name!r}; convert them into a store of their own"
         )
     if store.classes and reader.info.classes != store.classes:
         raise LayoutError(
             f"{reader.root}: expected the store's classes {named(store.classes)}, found "
-            f"{named(reader.info.classes)}"
+            f"{named(reader.info.classes)}; convert them into a store of their own"
         )
     crop = Margins(**store.about.crop)
     height, width = padded_size(store)

@@ -138,7 +138,7 @@ def _connected(address: str) -> Iterator[Any]:
     except (OSError, CancelledError) as error:
         raise ClusterError(
             f"{address}: expected the cluster to see it through, found the connection lost or the "
-            "tasks cancelled"
+            "tasks cancelled; the same command goes on from what is kept"
         ) from error
     finally:
         log.setLevel(level)

@@ -159,7 +159,7 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     if changed:
         raise DecodeError(
             f"{reader.root / changed[0]}: expected a file that stays as it is, found it changed "
-            "during the conversion"
+            "during the conversion; give the same command again when nobody writes there"
         )
     from nimprep.kernels.sums import count_values
 

@@ -51,7 +51,9 @@ def _file_digest(path: Path) -> str:
     try:
         return f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
     except OSError as error:
-        raise StoreError(f"{path}: expected a readable file, found {error.strerror}") from error
+        raise StoreError(
+            f"{path}: expected a readable file, found {error.strerror}; name one that can be read"
+        ) from error
 
 
 class LostRecordsError(StoreError):

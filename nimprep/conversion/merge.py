@@ -83,7 +83,7 @@ def merge_stores(
     target = local_folder(target, "merge into")
     folders = [local_folder(store, "merge") for store in stores]
     if not folders:
-        raise StoreError(f"{target}: expected stores to merge, found none")
+        raise StoreError(f"{target}: expected stores to merge, found none; name two or more")
     for folder in folders:
         check_apart(folder, target)
     found = [root_digest(folder) for folder in folders]
@@ -116,7 +116,8 @@ def _plan(stores: Sequence[Store], prefixes: Sequence[str]) -> _Merge:
     """Plan a merge; raise where two frames have one id, or a scene would straddle splits."""
     if len(prefixes) != len(stores):
         raise StoreError(
-            f"--prefix: expected one for each of {len(stores)} stores, found {len(prefixes)}"
+            f"--prefix: expected one for each of {len(stores)} stores, found {len(prefixes)}; "
+            "give as many"
         )
     ids, groups = (_prefixed(stores, prefixes, table) for table in ("frame_id", "group"))
     # Nobody could open the store.
@@ -163,7 +164,10 @@ def _layout(stores: Sequence[Store]) -> StoreLayout:
     first = stores[0]
     codec = first.about.codec
     if codec not in PRESETS:
-        raise StoreError(f"{first.path}: expected a codec of {', '.join(PRESETS)}, found {codec!r}")
+        raise StoreError(
+            f"{first.path}: expected a codec of {', '.join(PRESETS)}, found {codec!r}; name "
+            "another store first"
+        )
     sizes = [padded_size(store) for store in stores]
     shapes: dict[tuple[int, int], list[str]] = {}
     for store in stores:

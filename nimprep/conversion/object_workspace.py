@@ -100,7 +100,7 @@ def open_object_workspace(target: ObjectStorage, *, overwrite: bool) -> Iterator
     if not target.name:
         raise StoreError(
             f"{target}: expected a name for the store in the bucket, such as "
-            f"{target}/out.zarr, found none"
+            f"{target}/out.zarr, found none; add one"
         )
     hidden = hidden_objects(target)
     with locked_objects(target) as lock:

@@ -78,7 +78,9 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
         for name in self.modalities or ():
             if name not in MODALITIES:
                 known = ", ".join(MODALITIES).replace("_", "-")
-                raise ArrayError(f"modalities: expected some of {known}, found {name!r}")
+                raise ArrayError(
+                    f"modalities: expected some of {known}, found {name!r}; choose among those"
+                )
 
     def open_reader(self, source: Path) -> Reader:
         """Open the dataset; what is not to be stored need not be there."""

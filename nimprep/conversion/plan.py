@@ -131,9 +131,10 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
     asked = options.modalities or tuple(n for n in available if not MODALITIES[n].on_request)
     for name in asked:
         if name not in available:
-            hint = "" if reader.info.classes else "; it has no labels here"
+            hint = "" if reader.info.classes else " where there are no labels"
             raise LayoutError(
-                f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}"
+                f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}; "
+                "choose among those"
             )
     chosen = {n: m.as_dtype(options.normal_dtype) for n, m in MODALITIES.items() if n in asked}
     described = describe_modalities(chosen.values(), options.recipe)

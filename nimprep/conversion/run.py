@@ -89,7 +89,10 @@ def convert(
     """
     options = replace(options or ConvertOptions(), **changes)
     if is_url(source):
-        raise LayoutError(f"{source}: expected a folder to read, local or mounted, found a URL")
+        raise LayoutError(
+            f"{source}: expected a folder to read, local or mounted, found a URL; "
+            "copy it here first"
+        )
     source, storage = Path(source), storage_from(out)
     if storage.root is not None:
         check_apart(source, storage.root)
@@ -253,7 +256,8 @@ def finish(plan: Plan, records: Records) -> None:
     if not facts:
         raise DecodeError(
             f"{plan.job.source}: expected at least one good frame, found {len(skipped)} bad ones, "
-            f"first {skipped[0].id!r}: {skipped[0].reason}"
+            f"first {skipped[0].id!r}: {skipped[0].reason}; mend one, and give the same command "
+            "again"
         )
     _close_gaps(plan, records)
     ids = [frame.id for frame in facts]

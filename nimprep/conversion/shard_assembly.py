@@ -117,7 +117,10 @@ class UnitChunks:
             key = self._writer.shard_key(modality, unit)
             data = self._storage.read(key)
             if data is None:
-                raise StoreError(f"{self._storage}/{key}: expected a shard, found none")
+                raise StoreError(
+                    f"{self._storage}/{key}: expected a shard, found none; the same command makes "
+                    "it again"
+                )
             length = self._writer.layout.shard_length
             chunks = split_shard(data, length, f"{self._storage}/{key}")
             found += [chunks[position] for _, position in of_unit]

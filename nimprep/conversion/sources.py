@@ -28,7 +28,8 @@ def frame_state(reader: Reader, frame_id: str) -> tuple[FileState, ...]:
             found = path.stat()
         except OSError as error:
             raise DecodeError(
-                f"{path}: expected a readable file, found {error.strerror}"
+                f"{path}: expected a readable file, found {error.strerror}; mend it, or leave bad "
+                "frames out with --on-error skip"
             ) from error
         states.append((_name(reader, path), found.st_size, found.st_mtime_ns))
     return tuple(states)
@@ -91,6 +92,7 @@ def frame_digest(reader: Reader, frame_id: str) -> str:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
         except OSError as error:
             raise DecodeError(
-                f"{path}: expected a readable file, found {error.strerror}"
+                f"{path}: expected a readable file, found {error.strerror}; mend it, or leave bad "
+                "frames out with --on-error skip"
             ) from error
     return digest.hexdigest()

@@ -59,7 +59,10 @@ def _check_root(job: Job, root: bytes) -> None:
     A task may outlive the conversion that submitted it; it must not write into the next one.
     """
     if _root_digest(job) != root:
-        raise StoreError(f"{job.storage}: expected the store being converted, found it not there")
+        raise StoreError(
+            f"{job.storage}: expected the store being converted, found it not there; workers must "
+            "see the same folders"
+        )
 
 
 def encode_unit_of(data: bytes, number: int) -> Reply:
