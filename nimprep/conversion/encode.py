@@ -24,7 +24,7 @@ from nimprep.readers.base import Reader
 from nimprep.store.checksums import chunk_checksum
 from nimprep.store.frames import depth_from_millimetres, depth_to_millimetres, to_integers
 from nimprep.store.shards import encode_chunk
-from nimprep.store.statistics import channel_sums
+from nimprep.store.statistics import channel_sums, class_pixels
 from nimprep.store.writer import StoreLayout, StoreWriter
 
 
@@ -167,13 +167,15 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     if "depth" in stored:
         count_values(stored["depth"], counts)
     sums = channel_sums({n: i for n, i in stored.items() if n in layout.modalities})
-    return EncodedFrame(_facts(frame, gravity, sums, chunks, digest), chunks, counts)
+    pixels = class_pixels(stored.get("label"), [entry.id for entry in layout.classes])
+    return EncodedFrame(_facts(frame, gravity, sums, pixels, chunks, digest), chunks, counts)
 
 
 def _facts(
     frame: Frame,
     gravity: npt.NDArray[np.float64],
     sums: npt.NDArray[np.int64],
+    pixels: npt.NDArray[np.uint32],
     chunks: dict[str, bytes],
     digest: str,
 ) -> FrameFacts:
@@ -187,6 +189,7 @@ def _facts(
         cam_to_road=np.asarray(transform, dtype=np.float64).tolist(),
         gravity=gravity.tolist(),
         channel_sums=sums.tolist(),
+        class_pixels=pixels.tolist(),
         chunk_crc32c={name: chunk_checksum(chunk) for name, chunk in chunks.items()},
         digest=digest,
     )

@@ -27,7 +27,8 @@ from nimprep.splits import SPLITS, extend_splits
 from nimprep.store.checksums import MEND
 from nimprep.store.extras import carry_over
 from nimprep.store.reader import Store
-from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
+from nimprep.store.statistics import class_pixels_of
+from nimprep.store.table_specs import CHUNK_CHECKSUMS, CLASS_PIXELS, TABLES
 from nimprep.store.writer import StoreWriter
 
 
@@ -106,4 +107,5 @@ def _tables(
         name: np.concatenate([np.asarray(getattr(old.tables, name), new[name].dtype), new[name]])
         for name in TABLES
     }
-    return {**joined, CHUNK_CHECKSUMS: checksums}
+    pixels = np.concatenate([class_pixels_of(old), new[CLASS_PIXELS]])
+    return {**joined, CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}

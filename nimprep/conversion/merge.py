@@ -31,7 +31,8 @@ from nimprep.store.attributes import Split, StoreAttributes
 from nimprep.store.frame_tables import is_name
 from nimprep.store.reader import Store, open_store
 from nimprep.store.spec import PRESETS
-from nimprep.store.table_specs import CHUNK_CHECKSUMS, TABLES
+from nimprep.store.statistics import class_pixels_of
+from nimprep.store.table_specs import CHUNK_CHECKSUMS, CLASS_PIXELS, TABLES
 from nimprep.store.writer import StoreLayout, StoreWriter
 
 
@@ -196,7 +197,8 @@ def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) ->
         done = start("reading depth", frames)
         counts = sum(depth_counts(store, workers, done) for store in merge.stores)
         percentiles = depth_percentiles(np.asarray(counts))
-    tables = {**_tables(merge), CHUNK_CHECKSUMS: checksums}
+    pixels = np.concatenate([class_pixels_of(store) for store in merge.stores])
+    tables = {**_tables(merge), CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
     writer.finish(tables, _attributes(merge, percentiles))
 
 

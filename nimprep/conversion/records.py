@@ -60,6 +60,8 @@ class FrameFacts:
         Direction HHA was made with; NaN without HHA.
     channel_sums : 7 x 3
         See `nimprep.store.statistics.channel_sums`.
+    class_pixels : K + 1
+        See `nimprep.store.statistics.class_pixels`.
     chunk_crc32c : dict of modality to int
         What the frame's chunks end with.
     digest : str
@@ -74,6 +76,7 @@ class FrameFacts:
     cam_to_road: list[list[float]]
     gravity: list[float]
     channel_sums: list[list[int]]
+    class_pixels: list[int]
     chunk_crc32c: dict[str, int]
     digest: str
 
@@ -195,6 +198,7 @@ def tables(
         "cam_to_road": np.array([f.cam_to_road for f in facts]),
         "gravity": np.array([f.gravity for f in facts]),
         "channel_sums": np.array([f.channel_sums for f in facts], dtype=np.int64),
+        "class_pixels": np.array([f.class_pixels for f in facts], dtype=np.uint32),
         "chunk_crc32c": np.array(
             [[f.chunk_crc32c[m] for m in modalities] for f in facts], dtype=np.uint32
         ),

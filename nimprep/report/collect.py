@@ -15,6 +15,7 @@ from nimprep.parallel import Progress, map_in_order, no_progress
 from nimprep.report.hashes import difference_hash
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.reader import Store
+from nimprep.store.statistics import byte_histogram
 
 Counts = npt.NDArray[np.int64]
 
@@ -219,17 +220,6 @@ def _count_labels(
     found.classes[index] = counts[ids]
     found.ignored[index] = counts[IGNORE_LABEL]
     found.undeclared[index] = image.size - counts[list({*ids, IGNORE_LABEL})].sum()
-
-
-def byte_histogram(image: npt.NDArray[np.uint8]) -> Counts:
-    """Count the 256 values of an (H, W) uint8 image."""
-    import cv2
-
-    # OpenCV's takes a tenth of bincount's time, and lets other threads run; it counts in float32.
-    if image.size >= 1 << 24:
-        return np.bincount(image.ravel(), minlength=_LEVELS)
-    whole = np.ascontiguousarray(image)
-    return cv2.calcHist([whole], [0], None, [_LEVELS], [0, _LEVELS]).ravel().astype(np.int64)
 
 
 def _count_directions(normal: npt.NDArray[Any], part: Sums) -> None:

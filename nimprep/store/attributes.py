@@ -59,6 +59,11 @@ class StoreAttributes:
     split_before: PastSplit | None = None
     document: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
+    @property
+    def class_ids(self) -> list[int]:
+        """The classes' ids, in order."""
+        return [entry["id"] for entry in self.classes]
+
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> StoreAttributes:
         """Return what an object says that fits the schema."""

@@ -15,7 +15,7 @@ from nimprep.store.attributes import StoreAttributes
 from nimprep.store.checksums import MEND, chunk_checksum, in_force
 from nimprep.store.metadata import ROOT, read_document
 from nimprep.store.storage import Storage
-from nimprep.store.table_specs import CHUNK_CHECKSUMS, table_key, table_specs
+from nimprep.store.table_specs import CHUNK_CHECKSUMS, CLASS_PIXELS, table_key, table_specs
 from nimprep.store.tables import LARGEST_CHUNK, TableError, decode_table
 
 _SLASHES = re.compile(r"[/\\]")
@@ -25,7 +25,8 @@ _SLASHES = re.compile(r"[/\\]")
 class Tables:
     """Hold what a store says of each frame; every array has the frame first.
 
-    `chunk_crc32c`, (frame, modality), is None in a store of format 1.0.
+    `class_pixels`, (frame, class), and `chunk_crc32c`, (frame, modality), are None in a store of
+    format 1.0.
     """
 
     frame_id: tuple[str, ...]
@@ -37,6 +38,7 @@ class Tables:
     cam_to_road: npt.NDArray[np.float64]
     gravity: npt.NDArray[np.float64]
     channel_sums: npt.NDArray[np.int64]
+    class_pixels: npt.NDArray[np.uint32] | None
     chunk_crc32c: npt.NDArray[np.uint32] | None
 
 
@@ -69,12 +71,12 @@ def read_tables(
         One is missing, damaged, another version's than the root, of another dtype or of another
         length than the others.
     """
-    specs = table_specs(modalities, about.format_version)
+    specs = table_specs(modalities, about.format_version, about.class_ids)
     keys = {name: table_key(name) for name in specs}
     read = storage.read_many(list(keys.values()), LARGEST_CHUNK)
     chunks = {name: read[key] for name, key in keys.items()}
     about = in_force(about, chunk_checksum(chunks["split"] or b""))
-    arrays: dict[str, Any] = {CHUNK_CHECKSUMS: None}
+    arrays: dict[str, Any] = {CLASS_PIXELS: None, CHUNK_CHECKSUMS: None}
     for name, spec in specs.items():
         where = f"{storage}/{name}"
         try:

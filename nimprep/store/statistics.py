@@ -7,7 +7,7 @@ statistics of a split are made of its frames' sums when they are asked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import StoreError
+from nimprep.frame import IGNORE_LABEL
 from nimprep.modality import MODALITIES
+from nimprep.parallel import map_in_order
 
 if TYPE_CHECKING:
     from nimprep.store.reader import Store
@@ -67,6 +69,60 @@ def channel_sums(images: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.int64
         else:
             color_sums(images[name], values == "levels", rows)
     return sums
+
+
+def byte_histogram(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
+    """Count the 256 values of an (H, W) uint8 image."""
+    import cv2
+
+    # OpenCV's takes a tenth of bincount's time, and lets other threads run; it counts in float32.
+    if image.size >= 1 << 24:
+        return np.bincount(image.ravel(), minlength=256)
+    whole = np.ascontiguousarray(image)
+    return cv2.calcHist([whole], [0], None, [256], [0, 256]).ravel().astype(np.int64)
+
+
+def class_pixels(label: npt.NDArray[np.uint8] | None, ids: Sequence[int]) -> npt.NDArray[np.uint32]:
+    """Count the pixels of each class in one frame's label.
+
+    Parameters
+    ----------
+    label : (H, W) uint8, optional
+        Without padding; None = the frame has none.
+    ids : sequence of int
+        Of the classes.
+
+    Returns
+    -------
+    (K + 1,) uint32
+        Of each class, and last of the pixels to be ignored. Other values are in no class.
+    """
+    counts = np.zeros(256, np.int64) if label is None else byte_histogram(label)
+    return counts[[*ids, IGNORE_LABEL]].astype(np.uint32)
+
+
+def class_pixels_of(store: Store) -> npt.NDArray[np.uint32]:
+    """Return the number of pixels of each class in every frame of a store, (N, K + 1).
+
+    From its table; a store of format 1.0 has none, and its labels are read.
+
+    Raises
+    ------
+    StoreError
+        A label is damaged or gone.
+    """
+    if store.tables.class_pixels is not None:
+        return store.tables.class_pixels
+    ids, arrays = store.about.class_ids, store.arrays.values()
+    labels = next((array for array in arrays if array.modality.values == "classes"), None)
+    if labels is None:
+        return np.zeros((len(store), len(ids) + 1), np.uint32)
+
+    def count(index: int) -> npt.NDArray[np.uint32]:
+        height, width = store.tables.image_size[index]
+        return class_pixels(labels.read(index)[:height, :width], ids)
+
+    return np.stack(list(map_in_order(count, range(len(store)))))
 
 
 def combine_sums(sums: npt.NDArray[np.int64]) -> dict[str, ChannelStatistics]:

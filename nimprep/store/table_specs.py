@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from nimprep.frame import IGNORE_LABEL
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.spec import COORDINATES, FORMAT_VERSION, WITHOUT_CHECKSUMS, ArraySpec
 
@@ -84,12 +85,15 @@ TABLES: dict[str, ArraySpec] = {
 }
 """The arrays with one entry per frame that are the same in every store."""
 
+CLASS_PIXELS = "class_pixels"
+"""The table that says how many pixels each class has."""
+
 CHUNK_CHECKSUMS = "chunk_crc32c"
 """The table that says which chunks are the store's own."""
 
 
 def table_specs(
-    modalities: Sequence[str] = (), version: str = FORMAT_VERSION
+    modalities: Sequence[str] = (), version: str = FORMAT_VERSION, classes: Sequence[int] = ()
 ) -> dict[str, ArraySpec]:
     """Return the per-frame arrays of a store, by name.
 
@@ -99,6 +103,8 @@ def table_specs(
         All that the store has, in the order of `nimprep.frame.MODALITIES`.
     version : str
         Its format.
+    classes : sequence of int
+        The ids of its classes, in the order of its attributes.
     """
     if version == WITHOUT_CHECKSUMS:
         return TABLES
@@ -113,7 +119,18 @@ def table_specs(
         },
         (len(modalities),),
     )
-    return {**TABLES, CHUNK_CHECKSUMS: checksums}
+    pixels = ArraySpec(
+        ("frame", "class"),
+        "uint32",
+        0,
+        {
+            "long_name": "number of pixels of each class, and last of those to be ignored",
+            "classes": [*classes, IGNORE_LABEL],
+            "coordinates": COORDINATES,
+        },
+        (len(classes) + 1,),
+    )
+    return {**TABLES, CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
 
 
 def table_key(name: str) -> str:

@@ -211,7 +211,7 @@ def check_tables(store: Store, report: Report) -> None:
 
 
 def _tables(store: Store) -> dict[str, ArraySpec]:
-    return table_specs(store.modalities, store.about.format_version)
+    return table_specs(store.modalities, store.about.format_version, store.about.class_ids)
 
 
 def _check_camera(store: Store, index: int, report: Report) -> None:

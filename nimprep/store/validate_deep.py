@@ -18,7 +18,7 @@ from nimprep.parallel import Progress, available_cores, map_in_order, no_progres
 from nimprep.store.frames import depth_from_millimetres, to_integers
 from nimprep.store.problems import Report, fault_of
 from nimprep.store.reader import Store
-from nimprep.store.statistics import channel_sums
+from nimprep.store.statistics import channel_sums, class_pixels
 
 SAMPLE = 16
 """Derived modalities are made again on at most as many frames, spread over the store."""
@@ -70,6 +70,10 @@ def _frame_problems(store: Store, index: int, *, recompute: bool) -> list[str]:
         images[name] = np.ascontiguousarray(image[:height, :width])
     if not np.array_equal(channel_sums(images), store.tables.channel_sums[index]):
         problems.append("channel_sums: expected the images' sums, found others")
+    pixels = store.tables.class_pixels
+    counted = class_pixels(images.get("label"), store.about.class_ids)
+    if pixels is not None and not np.array_equal(counted, pixels[index]):
+        problems.append("class_pixels: expected the label's counts, found others")
     problems += _image_problems(store, index, images)
     if recompute and "depth" in images:
         problems += _recomputed_problems(store, index, images)

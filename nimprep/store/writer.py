@@ -242,7 +242,7 @@ class StoreWriter:
         group = zarr.open_group(memory.zarr, mode="w", zarr_format=3)
         for modality in self.layout.modalities:
             self._create_images(group, modality)
-        specs = table_specs(self.layout.modalities)
+        specs = table_specs(self.layout.modalities, classes=about.class_ids)
         for name, spec in specs.items():
             create_table(group, name, spec, tables[name])
         with warnings.catch_warnings():

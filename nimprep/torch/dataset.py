@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, SupportsIndex
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset
@@ -17,10 +18,11 @@ from nimprep.modality import MODALITIES
 from nimprep.splits import SPLIT_CODES, SplitName
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import Storage
+from nimprep.torch.balance import Weighting, class_weights, frame_weights, label_pixels
 from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
-from nimprep.torch.setups import CHANNELS, Selection, Setup, select
+from nimprep.torch.setups import CHANNELS, Setup, check_dtype, select
 from nimprep.torch.stored_images import NormalsFrom, StoredImages, merged_classes
 from nimprep.torch.transforms.foreign import adapted
 from nimprep.torch.transforms.geometry import check_returned
@@ -167,6 +169,50 @@ class StoreDataset(Dataset[dict[str, Any]]):
         """
         self._epoch.fill_(_NOT_SAID if epoch is None else epoch)
 
+    def class_pixels(self) -> Tensor:
+        """Return how many pixels of these frames each label has, (K,) int64.
+
+        Label i stands at place i, K - 1 being the largest; those to be ignored are left out. From a
+        table that the store has; of stores of format 1.0 the labels are read.
+
+        Raises
+        ------
+        StoreError
+            The store has no labels, or one is damaged.
+        """
+        return torch.from_numpy(self._pixels().sum(axis=0))
+
+    def class_weights(self, method: Weighting = "inverse") -> Tensor:
+        """Return a weight per label, (K,) float32, for ``CrossEntropyLoss(weight=...)``.
+
+        See `nimprep.torch.balance.class_weights` for the methods; 0 where a label has no pixel.
+
+        Raises
+        ------
+        ArrayError
+            There is no such method, or no labelled pixel.
+        StoreError
+            As `class_pixels`.
+        """
+        return torch.from_numpy(class_weights(self._pixels(), method)).to(torch.float32)
+
+    def frame_weights(self, method: Weighting = "inverse") -> Tensor:
+        """Return a weight per frame, (N,) float64, for ``WeightedRandomSampler``.
+
+        The mean of its labelled pixels' class weights: frames with rare classes are drawn more
+        often; one without any label never is.
+
+        Raises
+        ------
+        ArrayError, StoreError
+            As `class_weights`.
+        """
+        pixels = self._pixels()
+        return torch.from_numpy(frame_weights(pixels, class_weights(pixels, method)))
+
+    def _pixels(self) -> npt.NDArray[np.int64]:
+        return label_pixels(self.store, self.indices, self.images.merged)
+
     def __getitem__(self, item: SupportsIndex) -> Sample:
         return self.sample(item, self.epoch)
 
@@ -279,17 +325,6 @@ class StoreDataset(Dataset[dict[str, Any]]):
             else:
                 self.scaling.apply(name, raw[name], part)
         return out
-
-
-def check_dtype(dtype: str, selection: Selection, transform: object) -> None:
-    """Raise `ArrayError` for a dtype that a dataset cannot have."""
-    if dtype not in ("float32", "stored"):
-        raise ArrayError(f"dtype: expected 'float32' or 'stored', found {dtype!r}")
-    if dtype == "stored" and transform is not None:
-        raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
-    made = [name for name in selection.images if name in VIEWS]
-    if dtype == "stored" and made:
-        raise ArrayError(f"dtype: expected 'float32' with {made[0]}, found 'stored'")
 
 
 def _only(value: Any) -> Any:

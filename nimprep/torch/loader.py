@@ -15,8 +15,9 @@ from torch import Tensor
 from nimprep.errors import ArrayError
 from nimprep.parallel import available_cores, in_order, threads_for
 from nimprep.torch.collation import Batch, collate
-from nimprep.torch.dataset import StoreDataset, check_dtype
+from nimprep.torch.dataset import StoreDataset
 from nimprep.torch.ranks import part_of, ranks
+from nimprep.torch.setups import check_dtype
 
 
 class _Pending:

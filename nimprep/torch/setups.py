@@ -143,3 +143,14 @@ def _own_mix(modalities: Sequence[str], fusion: bool) -> Selection:
     if fusion:
         raise ArrayError("fusion: expected a setup to fuse, found modalities; they come apart")
     return Selection(tuple(name for name in names if name in CHANNELS), "label" in names, ())
+
+
+def check_dtype(dtype: str, selection: Selection, transform: object) -> None:
+    """Raise `ArrayError` for a dtype that a dataset cannot have."""
+    if dtype not in ("float32", "stored"):
+        raise ArrayError(f"dtype: expected 'float32' or 'stored', found {dtype!r}")
+    if dtype == "stored" and transform is not None:
+        raise ArrayError("dtype: expected 'float32' with a transform, found 'stored'")
+    made = [name for name in selection.images if name in VIEWS]
+    if dtype == "stored" and made:
+        raise ArrayError(f"dtype: expected 'float32' with {made[0]}, found 'stored'")

@@ -72,7 +72,8 @@ class StoredImages:
             check_method(normals)  # compiles its kernels before workers start
         self.store = store
         self._method: Method = "nim" if normals == "cached" else normals
-        self._merged = merged
+        self.merged = np.arange(256, dtype=np.uint8) if merged is None else merged
+        self._merges = merged is not None
         self._made = () if normals == "cached" else MADE
         for name in selection.modalities:
             needed = "depth" if name in self._made else name
@@ -106,8 +107,8 @@ class StoredImages:
             return out
         out = empty(array.shape[1:], array.dtype) if out is None else out
         array.decode(array.fetch(index), out, index)
-        if self._merged is not None and array.modality.values == "classes":
-            out[...] = self._merged[out]
+        if self._merges and array.modality.values == "classes":
+            out[...] = self.merged[out]
         return out
 
     def scaled(self, name: str, index: int, scaling: Scaling, out: Tensor) -> None:

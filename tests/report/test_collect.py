@@ -14,12 +14,12 @@ from nimprep.report.collect import (
     DIRECTION_BINS,
     DIRECTION_REACH,
     Sums,
-    byte_histogram,
     collect,
 )
 from nimprep.report.depth_charts import depth_quantiles
 from nimprep.report.hashes import NEAR, difference_hash, nearest
 from nimprep.store.reader import Store
+from nimprep.store.statistics import byte_histogram
 
 from .stores import HEIGHT, WIDTH, Folder, gmrp_store, mixed_store, photograph
 
