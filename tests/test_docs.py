@@ -2,9 +2,13 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
+import nimprep
+from tests.fakes import write_gmrp
 from tests.test_layers import LAYERS
 
 ROOT = Path(__file__).parent.parent
@@ -34,3 +38,23 @@ def test_the_way_through_convert_is_at_most_eight_files() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text()
     way = page[page.index("## What happens in convert") : page.index("`append` takes")]
     assert len(re.findall(r"^\d\. \[", way, re.M)) == 8
+
+
+def test_the_readmes_training_loop_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (ROOT / "README.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page[page.index("## Train") :], re.S)[:1]
+    raw = write_gmrp(tmp_path / "gmrp", frames=6, size=(64, 96))
+    nimprep.convert(raw, tmp_path / "gmrp.zarr", camera=(60, 60, 47.5, 31.5))
+    monkeypatch.chdir(tmp_path)
+    for written, small in (
+        ("range(40)", "range(2)"),
+        ("480, 640", "64, 64"),
+        ("batch_size=4", "batch_size=2"),
+    ):
+        assert written in code
+        code = code.replace(written, small)
+    torch.manual_seed(0)
+    found: dict[str, Any] = {}
+    exec(code, found)
+    assert found["batch"]["inputs"][1].shape == (2, 3, 64, 64)
+    assert all(p.isfinite().all() for p in found["network"].parameters())
