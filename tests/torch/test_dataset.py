@@ -16,6 +16,7 @@ from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import CHANNELS, SETUPS, Setup
 from nimprep.torch.views import VIEWS
 from tests.fakes import SIZE
+from tests.torch import vision
 from tests.torch.stores import FRAMES, make_mixed_store, make_store
 
 SCALES = {"depth": 10, "disparity": 64, "transformed_disparity": 16, "elevation": 2}
@@ -392,6 +393,7 @@ def test_an_epoch_that_was_said_can_be_taken_back(path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore")  # of Lightning itself
 def test_lightning_draws_anew_in_every_epoch(path: Path, tmp_path: Path) -> None:
+    vision.transforms()  # which Lightning imports, too
     import lightning.pytorch as lightning
 
     class Module(lightning.LightningModule):
