@@ -25,8 +25,8 @@ _SLASHES = re.compile(r"[/\\]")
 class Tables:
     """Hold what a store says of each frame; every array has the frame first.
 
-    `class_pixels`, (frame, class), and `chunk_crc32c`, (frame, modality), are None in a store of
-    format 1.0.
+    `class_pixels`, (frame, class or ignored), and `chunk_crc32c`, (frame, modality), are None in a
+    store of format 1.0.
     """
 
     frame_id: tuple[str, ...]

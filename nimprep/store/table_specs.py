@@ -120,7 +120,7 @@ def table_specs(
         (len(modalities),),
     )
     pixels = ArraySpec(
-        ("frame", "class"),
+        ("frame", "class_or_ignored"),
         "uint32",
         0,
         {

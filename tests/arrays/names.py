@@ -16,6 +16,7 @@ TENSORS = {
     *(f"nimprep.torch.transforms.{name}" for name in ("crop", "flip", "jitter", "resize")),
     *(f"nimprep.torch.transforms.Random{name}" for name in ("Crop", "HorizontalFlip", "Scale")),
     *(f"nimprep.torch.transforms.{name}" for name in ("ColorJitter", "Compose", "Resize")),
+    *(f"nimprep.torch.transforms.{name}" for name in ("Albumentations", "Torchvision")),
 }
 """What takes PyTorch's tensors: they are never masked, read-only or of another machine's bytes."""
 
