@@ -14,23 +14,7 @@ Made = TypeVar("Made", bound=type)
 
 @dataclass(frozen=True)
 class Option:
-    """Describe an option.
-
-    Attributes
-    ----------
-    name : str
-    default : object
-    types : tuple
-        What it may be; NoneType where it need not be anything.
-    help : str
-        What it does; "" = its name says it.
-    least, most : float, optional
-        What a number may be.
-    metavar : str, optional
-        How a command's help writes a value.
-    counts : bool
-        Whether it tells in the bytes of a store.
-    """
+    """Describe an option: what a field says, and how a command's help writes a value of it."""
 
     name: str
     default: Any
@@ -39,6 +23,7 @@ class Option:
     least: float | None = None
     most: float | None = None
     metavar: str | None = None
+    # Whether it tells in the bytes of a store.
     counts: bool = True
 
     @property

@@ -63,11 +63,10 @@ def _crop(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
     return margins
 
 
-def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str] | None:
-    return None if value is None else value.split(",")
-
-
-_PARSED: dict[str, Callable[..., Any]] = {"crop": _crop, "modalities": _names}
+_PARSED: dict[str, Callable[..., Any]] = {
+    "crop": _crop,
+    "modalities": lambda ctx, param, value: None if value is None else value.split(","),
+}
 """What is read in a way of its own."""
 
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="No progress bar.")

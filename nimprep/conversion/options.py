@@ -12,8 +12,7 @@ from nimprep.derive.recipe import Recipe, RecipeOptions
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES, given_for, modality_name
 from nimprep.options import Options, documented, option
-from nimprep.readers import Reader, ReaderOptions, open_reader
-from nimprep.readers.options import ReaderKeywords
+from nimprep.readers import Reader, ReaderKeywords, ReaderOptions, open_reader
 from nimprep.splits import SplitRule
 from nimprep.store.spec import SHARD_LENGTH, Codec
 
@@ -108,17 +107,14 @@ class AppendOptions(RunOptions, ReaderOptions):
     skip_existing: bool = option(False, "Leave out frames that STORE has; else they are an error.")
 
 
+# Keyword arguments by the names of the fields, for type checkers; a test compares them.
 class RunKeywords(TypedDict, total=False):
-    """Name the fields of `RunOptions` as keyword arguments."""
-
     workers: int | None
     restart: bool
     on_error: Literal["stop", "skip"]
 
 
 class ConvertKeywords(RunKeywords, ReaderKeywords, total=False):
-    """Name the fields of `ConvertOptions` as keyword arguments."""
-
     normals: Method
     sign_filter: bool
     noise: float | None
@@ -138,6 +134,4 @@ class ConvertKeywords(RunKeywords, ReaderKeywords, total=False):
 
 
 class AppendKeywords(RunKeywords, ReaderKeywords, total=False):
-    """Name the fields of `AppendOptions` as keyword arguments."""
-
     skip_existing: bool

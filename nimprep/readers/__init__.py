@@ -3,18 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from inspect import Parameter, signature
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypedDict
 
 from nimprep.errors import LayoutError, OptionError
-from nimprep.options import options_of
+from nimprep.kitti.names import DepthFrom, Target
+from nimprep.options import Options, documented, option, options_of
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
 from nimprep.readers.cameras import camera_from
-from nimprep.readers.options import ReaderName, ReaderOptions
 
 __all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptions", "open_reader"]
+
+
+ReaderName = Literal["auto", "gmrp", "kitti-road", "folder"]
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class ReaderOptions(Options):
+    """Say what a reader should do differently from its layout's defaults.
+
+    SRC is the dataset. `camera` may also be (fx, fy, cx, cy), in pixels.
+    """
+
+    reader: ReaderName = option("auto", "Layout of SRC; default: by its folders.")
+    description: Path | str | None = option(
+        None, "JSON description of a folder dataset (schemas/folder.schema.json)."
+    )
+    camera: Path | str | tuple[float, float, float, float] | None = option(
+        None, "Camera file, JSON."
+    )
+    depth_scale: float | None = option(None, "Metres per raw depth unit.", least=1e-9, most=1000)
+    target: Target = option("road", "Which of KITTI road's ground truths.")
+    depth_from: DepthFrom = option(
+        "auto", "Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo."
+    )
+    sparse: bool = option(False, "Leave KITTI road's depth as measured.")
+
+
+class ReaderKeywords(TypedDict, total=False):
+    reader: ReaderName
+    description: Path | str | None
+    camera: Path | str | tuple[float, float, float, float] | None
+    depth_scale: float | None
+    target: Target
+    depth_from: DepthFrom
+    sparse: bool
 
 
 class Layout(NamedTuple):
@@ -48,7 +85,7 @@ READERS: dict[ReaderName, Layout] = {
         ("depth_u16", "rgb"),
     ),
     "folder": Layout(
-        "anything a --description FILE.json describes", "nimprep.readers.folder:open_folder"
+        "anything a --description FILE.json describes", "nimprep.readers.folder:FolderReader"
     ),
 }
 """The readers, in the order in which their layouts are looked for."""

@@ -59,16 +59,11 @@ def nominal_camera() -> CameraSource:
 
 
 def camera_from(given: Path | str | tuple[float, float, float, float]) -> CameraSource:
-    """Return the camera that the user gave, by a file or by its numbers."""
+    """Return the camera that the user gave, by a file or by (fx, fy, cx, cy) in pixels."""
     if isinstance(given, (str, Path)):
         return camera_from_file(Path(given))
-    return camera_from_intrinsics(given)
-
-
-def camera_from_intrinsics(intrinsics: tuple[float, float, float, float]) -> CameraSource:
-    """Return the camera of numbers the user gave: (fx, fy, cx, cy), pixels."""
-    Camera(*intrinsics, width=1, height=1)
-    return CameraSource("user", "--intrinsics", intrinsics)
+    Camera(*given, width=1, height=1)
+    return CameraSource("user", "--intrinsics", given)
 
 
 def camera_from_file(path: Path, *, pipes: bool = True) -> CameraSource:

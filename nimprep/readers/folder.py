@@ -41,8 +41,8 @@ class FolderReader(ReaderBase):
     ----------
     root : Path
         The dataset's folder; every pattern is below it.
-    description : Description
-        What is where.
+    description : Description or path
+        What is where, or a file that says it.
     labels : bool
         Whether to read labels; without, they need not be there.
     camera : CameraSource, optional
@@ -60,7 +60,7 @@ class FolderReader(ReaderBase):
     def __init__(
         self,
         root: Path | str,
-        description: Description,
+        description: Description | Path | str,
         *,
         labels: bool = True,
         camera: CameraSource | None = None,
@@ -69,6 +69,8 @@ class FolderReader(ReaderBase):
         self.root = Path(root)
         if not self.root.is_dir():
             raise LayoutError(f"{self.root}: expected a dataset's folder, found none")
+        if not isinstance(description, Description):
+            description = description_from_file(description)
         self._description = description
         self._scale = depth_scale
         self._files: dict[str, dict[str, Path]] = {
@@ -174,19 +176,3 @@ class FolderReader(ReaderBase):
                 )
             mapped.append(known)
         return np.array(mapped, dtype=np.uint8)[where].reshape(codes.shape)
-
-
-def open_folder(
-    root: Path | str,
-    *,
-    description: Path | str,
-    labels: bool = True,
-    camera: CameraSource | None = None,
-    depth_scale: float | None = None,
-) -> FolderReader:
-    """Open a folder by the file that describes it.
-
-    Parameters are those of `FolderReader`.
-    """
-    described = description_from_file(description)
-    return FolderReader(root, described, labels=labels, camera=camera, depth_scale=depth_scale)
