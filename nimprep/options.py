@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cache
+from math import isfinite
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from nimprep.errors import ArrayError
 
 Made = TypeVar("Made", bound=type)
+
+_SAID: dict[Any, str] = {
+    bool: "True or False",
+    int: "a whole number",
+    float: "a finite number",
+    Path: "a file",
+    str: "a name",
+}
 
 
 @dataclass(frozen=True)
@@ -33,13 +45,44 @@ class Option:
         literal = all(get_origin(t) is Literal for t in kinds)
         return tuple(c for t in kinds for c in get_args(t)) if literal else ()
 
-    def check(self, value: Any) -> None:
-        """Raise `ArrayError` where a value is no choice, or out of bounds."""
-        expected = None
+    def checked(self, value: Any) -> Any:
+        """Return a value as Python has it, where it comes from NumPy, say.
+
+        Raises
+        ------
+        ArrayError
+            It is of another type, no choice, or out of bounds.
+        """
         if value is None and NoneType in self.types:
-            return
-        if self.choices and value not in self.choices:
+            return None
+        made = self._made(value)
+        self._check_bounds(value if made is None else made, known=made is not None)
+        return made
+
+    def _made(self, value: Any) -> Any:
+        """Return a value of one of the option's types; None = it is of none of them."""
+        if self.choices:
+            return value if isinstance(value, str) and value in self.choices else None
+        if bool in self.types:
+            return bool(value) if type(value).__name__ in ("bool", "bool_") else None
+        if type(value).__name__ in ("bool", "bool_"):
+            return None
+        if int in self.types:
+            return int(value) if isinstance(value, Integral) else None
+        if float in self.types:
+            finite = isinstance(value, Real) and isfinite(value)
+            return float(value) if finite else None
+        if {Path, str} & {*self.types} and isinstance(value, (str, PathLike)):
+            return value or None
+        # Of another kind: whose option it is says what it can be.
+        return value if any(get_origin(kind) for kind in self.types) else None
+
+    def _check_bounds(self, value: Any, *, known: bool) -> None:
+        expected = None
+        if self.choices and not known:
             expected = f"one of {', '.join(self.choices)}"
+        elif not known:
+            expected = next((said for kind, said in _SAID.items() if kind in self.types), "a value")
         elif self.least is not None and not value >= self.least:
             expected = f"{self.least:g} or more"
         elif self.most is not None and not value <= self.most:
@@ -71,7 +114,7 @@ class Options:
 
     def __post_init__(self) -> None:
         for name, found in options_of(type(self)).items():  # type: ignore[arg-type]
-            found.check(getattr(self, name))
+            object.__setattr__(self, name, found.checked(getattr(self, name)))
 
 
 def documented(made: Made) -> Made:

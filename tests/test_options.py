@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypedDict, get_args, get_type_hints
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import nimprep
+import nimprep.kitti
+import nimprep.torch
 from nimprep.cli import main
 from nimprep.conversion.journal import option_values
-from nimprep.conversion.options import AppendKeywords, ConvertKeywords
+from nimprep.conversion.options import AppendKeywords, ConvertKeywords, ConvertOptions
 from nimprep.derive.methods import FILLS, METHODS
-from nimprep.errors import ArrayError, LayoutError, OptionError
+from nimprep.errors import ArrayError, LayoutError, NimprepError, OptionError
 from nimprep.kitti.names import TARGETS
 from nimprep.modality import MODALITIES
 from nimprep.options import options_of
@@ -165,3 +169,69 @@ def test_what_tells_in_a_store_is_kept_for_a_conversion_that_goes_on() -> None:
     free = {"workers", "restart", "on_error", "scheduler", "overwrite"}
     values = option_values(nimprep.ConvertOptions())
     assert values.keys() == options_of(nimprep.ConvertOptions).keys() - free
+
+
+WRONG_TYPES = [
+    ({"seed": None}, "seed: expected a whole number, found None"),
+    ({"seed": 1.5}, r"seed: expected a whole number, found 1\.5"),
+    ({"labels": "no"}, "labels: expected True or False, found 'no'"),
+    ({"overwrite": 1}, "overwrite: expected True or False, found 1"),
+    ({"workers": "2"}, "workers: expected a whole number, found '2'"),
+    ({"workers": True}, "workers: expected a whole number, found True"),
+    ({"shard_length": 2.5}, r"shard_length: expected a whole number, found 2\.5"),
+    ({"depth_scale": float("nan")}, "depth_scale: expected a finite number, found nan"),
+    ({"noise": "0.1", "normals": "nim-edge"}, "noise: expected a finite number"),
+    ({"codec": None}, "codec: expected one of fast, small, found None"),
+    ({"codec": ["fast"]}, "codec: expected one of fast, small, found"),
+    ({"split_file": 3}, "split_file: expected a file, found 3"),
+    ({"split_file": "a.json", "split_by": "group"}, "split_file: expected it or split_by"),
+    ({"scheduler": 8786}, "scheduler: expected a name, found 8786"),
+    ({"crop": (1, 2)}, r"crop: expected 'auto' or four whole numbers from 0, found \(1, 2\)"),
+    ({"crop": (1, 2, 3, -4)}, "crop: expected 'auto' or four whole numbers from 0"),
+    ({"crop": "aut"}, "crop: expected 'auto' or four whole numbers from 0, found 'aut'"),
+    ({"camera": ""}, "camera: expected a file, found ''"),
+    ({"camera": (1.0, 2.0)}, "camera: expected a file or four numbers"),
+    ({"camera": (1.0, 2.0, 3.0, "x")}, "camera: expected a file or four numbers"),
+    ({"modalities": "rgb,depth"}, "modalities: expected a sequence of names, found 'rgb,depth'"),
+]
+
+
+@pytest.mark.parametrize(("given", "said"), WRONG_TYPES)
+def test_a_value_of_another_type_is_refused_before_anything_is_done(given: Any, said: str) -> None:
+    with pytest.raises(NimprepError, match=f"^{said}"):
+        ConvertOptions(**given)
+
+
+def test_what_numpy_gives_is_taken_as_python_has_it() -> None:
+    options = ConvertOptions(
+        seed=np.int64(3),
+        sparse=np.bool_(True),
+        depth_scale=np.float32(0.5),
+        crop=np.array([1, 2, 3, 4]),
+        camera=np.array([20.0, 20.0, 16.0, 12.0]),
+        shard_length=np.uint8(8),
+    )
+    assert options == ConvertOptions(
+        seed=3,
+        sparse=True,
+        depth_scale=0.5,
+        crop=(1, 2, 3, 4),
+        camera=(20.0, 20.0, 16.0, 12.0),
+        shard_length=8,
+    )
+    assert type(options.seed) is int
+    assert type(options.crop[0]) is int
+
+
+def test_a_type_checker_knows_which_names_the_package_has() -> None:
+    for package in (nimprep, nimprep.torch, nimprep.kitti):
+        tree = ast.parse(Path(package.__file__).read_text())
+        said = {
+            alias.asname
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        assert {*package.__all__} - {"__version__"} <= said
+        hooks = [n for n in tree.body if isinstance(n, ast.FunctionDef)]
+        assert "__getattr__" not in {hook.name for hook in hooks}

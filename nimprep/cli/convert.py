@@ -23,8 +23,6 @@ def convert(src: str, out: str, quiet: bool, allow_skipped: int, **given: Any) -
     where it stopped when the same command is given again. What the store holds is printed at the
     end: look at the depth's percentiles to see that the unit is right.
     """
-    if given["split_file"] and given["split_by"]:
-        raise click.UsageError("expected --split-file or --split-by, found both")
     options = options_given(ConvertOptions, given)
     import nimprep
     from nimprep.store.info import info_text, store_info

@@ -60,7 +60,7 @@ class KernelCache:
         self.loaded = self.compiled = 0
         self.folders: list[Path | None] = []
         self._options = options
-        self._sources = source_digest(function.__module__)
+        self._sources = code_digest(function.__module__)
 
     @property
     def cache_path(self) -> str | None:
@@ -136,7 +136,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 @cache
-def source_digest(module: str) -> str:
+def code_digest(module: str) -> str:
     """Return the digest of a module's source and of all of nimprep that it is made from."""
     sources: dict[str, bytes] = {}
     wanted = [module]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from numbers import Integral
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 from nimprep.derive.methods import Fill, Method
 from nimprep.derive.recipe import Recipe, RecipeOptions
@@ -71,6 +72,14 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "crop", _checked_crop(self.crop))
+        if self.split_file is not None and self.split_by is not None:
+            raise ArrayError("split_file: expected it or split_by, found both; leave one out")
+        if isinstance(self.modalities, str):
+            raise ArrayError(
+                f"modalities: expected a sequence of names, found {self.modalities!r}; put them "
+                "into a list"
+            )
         if self.modalities is not None:
             names = tuple(modality_name(name) for name in self.modalities)
             object.__setattr__(self, "modalities", names)
@@ -105,6 +114,25 @@ class AppendOptions(RunOptions, ReaderOptions):
     """
 
     skip_existing: bool = option(False, "Leave out frames that STORE has; else they are an error.")
+
+
+def _checked_crop(crop: Any) -> Any:
+    """Return what is to be cut off, the numbers as Python has them.
+
+    Raises
+    ------
+    ArrayError
+        It is neither "auto" nor four whole numbers from 0.
+    """
+    if crop is None or (isinstance(crop, str) and crop == "auto"):
+        return crop
+    numbers = () if isinstance(crop, str) else tuple(crop)
+    if len(numbers) != 4 or not all(isinstance(n, Integral) and int(n) >= 0 for n in numbers):
+        raise ArrayError(
+            f"crop: expected 'auto' or four whole numbers from 0, found {crop!r}; give the pixels "
+            "to cut off as (top, bottom, left, right)"
+        )
+    return tuple(int(n) for n in numbers)
 
 
 # Keyword arguments by the names of the fields, for type checkers; a test compares them.

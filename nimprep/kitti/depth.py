@@ -1,4 +1,4 @@
-"""Dense depth of a KITTI road frame, from whichever source is there."""
+"""Dense depth of a KITTI road frame, from whichever origin is there."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from nimprep.kitti.names import DepthFrom
 from nimprep.kitti.stereo import stereo_depth
 from nimprep.parallel import Progress, map_frames
 
-DepthSource = Literal["depth_u16", "lidar", "stereo"]
+DepthOrigin = Literal["depth_u16", "lidar", "stereo"]
 
 SATURATED_MM = 65535
 """Millimetres too many for 16 bits are written as this, and it is read as no depth."""
 
 RECORD = "depth.json"
 
-_ORDER: tuple[DepthSource, ...] = ("depth_u16", "lidar", "stereo")
+_ORDER: tuple[DepthOrigin, ...] = ("depth_u16", "lidar", "stereo")
 
 
 def millimetres_from_metres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
@@ -46,15 +46,15 @@ def metres_from_millimetres(depth_mm: npt.NDArray[np.uint16]) -> npt.NDArray[np.
     return depth_m
 
 
-def source_file(files: RoadFiles, source: DepthSource) -> Path:
-    """Return the file that makes a source available for a frame."""
-    return {"depth_u16": files.depth, "lidar": files.scan, "stereo": files.right_image}[source]
+def origin_file(files: RoadFiles, origin: DepthOrigin) -> Path:
+    """Return the file that makes an origin available for a frame."""
+    return {"depth_u16": files.depth, "lidar": files.scan, "stereo": files.right_image}[origin]
 
 
-def choose_source(
+def choose_origin(
     files: RoadFiles, wanted: DepthFrom = "auto", sparse: bool = False
-) -> DepthSource:
-    """Return the depth source to use for a frame: depth_u16, else LiDAR, else stereo.
+) -> DepthOrigin:
+    """Return the depth origin to use for a frame: depth_u16, else LiDAR, else stereo.
 
     `sparse` leaves depth_u16 out, which is dense.
 
@@ -64,10 +64,10 @@ def choose_source(
         None of what was looked for is there.
     """
     choices = [s for s in _ORDER if wanted in ("auto", s) and not (sparse and s == "depth_u16")]
-    for source in choices:
-        if source_file(files, source).is_file():
-            return source
-    places = " or ".join(str(source_file(files, s).relative_to(files.folder)) for s in choices)
+    for origin in choices:
+        if origin_file(files, origin).is_file():
+            return origin
+    places = " or ".join(str(origin_file(files, s).relative_to(files.folder)) for s in choices)
     raise LayoutError(
         f"{files.folder}: expected {places} to make depth of frame {files.id}, found none"
         + ("; --from auto takes what each frame has" if wanted != "auto" else "")
@@ -85,7 +85,7 @@ def check_frame_size(shape: tuple[int, int], calibration: Calibration, image: Pa
 
 
 def frame_depth(
-    files: RoadFiles, source: DepthSource, sparse: bool = False
+    files: RoadFiles, origin: DepthOrigin, sparse: bool = False
 ) -> npt.NDArray[np.float32]:
     """Return a frame's depth, as a depth_u16 image of it would be read.
 
@@ -95,7 +95,7 @@ def frame_depth(
     Parameters
     ----------
     files : RoadFiles
-    source : {"depth_u16", "lidar", "stereo"}
+    origin : {"depth_u16", "lidar", "stereo"}
     sparse : bool
         Leave LiDAR and stereo as measured.
 
@@ -109,33 +109,33 @@ def frame_depth(
     DecodeError
         A file is bad, or sizes differ.
     """
-    return metres_from_millimetres(frame_depth_mm(files, source, sparse))
+    return metres_from_millimetres(frame_depth_mm(files, origin, sparse))
 
 
 def frame_depth_mm(
-    files: RoadFiles, source: DepthSource, sparse: bool = False
+    files: RoadFiles, origin: DepthOrigin, sparse: bool = False
 ) -> npt.NDArray[np.uint16]:
     """Return a frame's depth as `frame_depth` does, in millimetres; 65535 = saturated."""
     calibration = read_calibration(files.calibration)
     header = read_header(files.image)
     shape = (header.height, header.width)
     check_frame_size(shape, calibration, files.image)
-    measure: dict[DepthSource, Callable[[], npt.NDArray[Any]]] = {
+    measure: dict[DepthOrigin, Callable[[], npt.NDArray[Any]]] = {
         "depth_u16": lambda: _stored_depth(files),
         "lidar": lambda: project_lidar(read_velodyne(files.scan), calibration, *shape),
         "stereo": lambda: _stereo_of_frame(files, calibration),
     }
-    depth = measure[source]()
+    depth = measure[origin]()
     if depth.shape != shape:
         raise DecodeError(
-            f"{source_file(files, source)}: expected {shape[1]}x{shape[0]} pixels like "
+            f"{origin_file(files, origin)}: expected {shape[1]}x{shape[0]} pixels like "
             f"{files.image}, found {depth.shape[1]}x{depth.shape[0]}"
         )
     if depth.dtype == np.uint16:
         return depth
     if not depth.any():
         raise DecodeError(
-            f"{source_file(files, source)}: expected depth somewhere in the image, found none"
+            f"{origin_file(files, origin)}: expected depth somewhere in the image, found none"
         )
     if not sparse:
         from nimprep.derive.completion import fill_depth
@@ -171,10 +171,10 @@ def write_depth(
     progress: Progress | None = None,
     *,
     overwrite: bool = False,
-) -> dict[str, DepthSource]:
+) -> dict[str, DepthOrigin]:
     """Write the depth of every frame of a road folder as ``OUT/training/depth_u16/<name>.png``.
 
-    16-bit millimetres: 0 = none, 65535 = 65.535 m or more. ``OUT/depth.json`` records the source
+    16-bit millimetres: 0 = none, 65535 = 65.535 m or more. ``OUT/depth.json`` records the origin
     of each frame (schemas/kitti-depth.schema.json).
 
     Parameters
@@ -192,25 +192,25 @@ def write_depth(
 
     Returns
     -------
-    dict of frame id to source
+    dict of frame id to origin
 
     Raises
     ------
     LayoutError
-        No frames, a frame without a source, `out` inside `src`, or a file there already.
+        No frames, a frame without an origin, `out` inside `src`, or a file there already.
     DecodeError
         A file is bad.
     """
     src, out = Path(src), Path(out)
     refuse_inside(out, src)
-    chosen = {files: choose_source(files, wanted, sparse) for files in list_road_files(src)}
+    chosen = {files: choose_origin(files, wanted, sparse) for files in list_road_files(src)}
     images = {f: out / f.split / "depth_u16" / f"{f.name}.png" for f in chosen}
     for path in (out / RECORD, *images.values()):
         check_file(path, src, overwrite=overwrite)
 
-    def write(item: tuple[RoadFiles, DepthSource]) -> None:
-        files, source = item
-        image = png_bytes(frame_depth_mm(files, source, sparse))
+    def write(item: tuple[RoadFiles, DepthOrigin]) -> None:
+        files, origin = item
+        image = png_bytes(frame_depth_mm(files, origin, sparse))
         write_whole(images[files], image, src, overwrite=overwrite)
 
     for _ in map_frames("depth", write, list(chosen.items()), progress):
@@ -219,8 +219,8 @@ def write_depth(
         "format": "nimprep-kitti-depth",
         "version": "1.0",
         "sparse": sparse,
-        "frames": {files.id: source for files, source in chosen.items()},
+        "frames": {files.id: origin for files, origin in chosen.items()},
     }
     text = json.dumps(record, indent=2) + "\n"
     write_whole(out / RECORD, text.encode(), src, overwrite=overwrite)
-    return {files.id: source for files, source in chosen.items()}
+    return {files.id: origin for files, origin in chosen.items()}

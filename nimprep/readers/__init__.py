@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from inspect import Parameter, signature
+from os import PathLike
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, Literal, NamedTuple, TypedDict
@@ -13,7 +14,7 @@ from nimprep.errors import LayoutError, OptionError
 from nimprep.kitti.names import DepthFrom, Target
 from nimprep.options import Options, documented, option, options_of
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
-from nimprep.readers.cameras import camera_from
+from nimprep.readers.cameras import camera_from, numbers_of
 
 __all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptions", "open_reader"]
 
@@ -42,6 +43,11 @@ class ReaderOptions(Options):
         "auto", "Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo."
     )
     sparse: bool = option(False, "Leave KITTI road's depth as measured.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.camera is not None and not isinstance(self.camera, (str, PathLike)):
+            object.__setattr__(self, "camera", numbers_of(self.camera))
 
 
 class ReaderKeywords(TypedDict, total=False):

@@ -13,7 +13,7 @@ from nimprep.schema import check_json, read_json
 
 
 @dataclass(frozen=True)
-class CameraSource:
+class GivenCamera:
     """Give the camera for an image size.
 
     Attributes
@@ -53,20 +53,39 @@ class CameraSource:
         return Camera(*self.intrinsics, width=width, height=height)
 
 
-def nominal_camera() -> CameraSource:
+def nominal_camera() -> GivenCamera:
     """Return the RealSense D415's data-sheet camera: 69.4 degrees wide, square pixels."""
-    return CameraSource("nominal", "nominal RealSense D415")
+    return GivenCamera("nominal", "nominal RealSense D415")
 
 
-def camera_from(given: Path | str | tuple[float, float, float, float]) -> CameraSource:
+def numbers_of(given: Any) -> tuple[float, ...]:
+    """Return (fx, fy, cx, cy) as Python has numbers.
+
+    Raises
+    ------
+    CameraError
+        They are not four numbers.
+    """
+    try:
+        numbers = tuple(float(number) for number in given)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != 4:
+        raise CameraError(
+            f"camera: expected a file or four numbers, found {given!r}; give (fx, fy, cx, cy)"
+        )
+    return numbers
+
+
+def camera_from(given: Path | str | tuple[float, float, float, float]) -> GivenCamera:
     """Return the camera that the user gave, by a file or by (fx, fy, cx, cy) in pixels."""
     if isinstance(given, (str, Path)):
         return camera_from_file(Path(given))
     Camera(*given, width=1, height=1)
-    return CameraSource("user", "--intrinsics", given)
+    return GivenCamera("user", "--intrinsics", given)
 
 
-def camera_from_file(path: Path, *, pipes: bool = True) -> CameraSource:
+def camera_from_file(path: Path, *, pipes: bool = True) -> GivenCamera:
     """Read a camera file (schemas/camera.schema.json).
 
     Parameters
@@ -82,7 +101,7 @@ def camera_from_file(path: Path, *, pipes: bool = True) -> CameraSource:
     return camera_from_document(read_json(path, CameraError, pipes=pipes), str(path))
 
 
-def camera_from_document(document: Any, where: str) -> CameraSource:
+def camera_from_document(document: Any, where: str) -> GivenCamera:
     """Return the camera of a JSON object (schemas/camera.schema.json).
 
     Raises
@@ -104,4 +123,4 @@ def camera_from_document(document: Any, where: str) -> CameraSource:
     except CameraError as error:
         raise CameraError(f"{where}: {error}") from error
     size = (int(document["height"]), int(document["width"])) if "width" in document else None
-    return CameraSource("file", where, numbers, size, float(document.get("baseline_m", "nan")))
+    return GivenCamera("file", where, numbers, size, float(document.get("baseline_m", "nan")))

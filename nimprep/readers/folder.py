@@ -15,7 +15,7 @@ from nimprep.images import read_depth, read_header, read_label, read_rgb
 from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.readers.cameras import (
-    CameraSource,
+    GivenCamera,
     camera_from_document,
     camera_from_file,
     nominal_camera,
@@ -45,7 +45,7 @@ class FolderReader(ReaderBase):
         What is where, or a file that says it.
     labels : bool
         Whether to read labels; without, they need not be there.
-    camera : CameraSource, optional
+    camera : GivenCamera, optional
         In place of the description's.
     depth_scale : float, optional
         Metres per raw depth unit, in place of the description's; depth is then taken as it comes,
@@ -63,7 +63,7 @@ class FolderReader(ReaderBase):
         description: Description | Path | str,
         *,
         labels: bool = True,
-        camera: CameraSource | None = None,
+        camera: GivenCamera | None = None,
         depth_scale: float | None = None,
     ) -> None:
         self.root = Path(root)
@@ -93,8 +93,8 @@ class FolderReader(ReaderBase):
         )
 
     def _choose_camera(
-        self, given: CameraSource | None
-    ) -> tuple[CameraSource | None, dict[str, Path]]:
+        self, given: GivenCamera | None
+    ) -> tuple[GivenCamera | None, dict[str, Path]]:
         """Return one camera for all frames, or None and a file per frame."""
         described = self._description.camera
         self._shared: tuple[Path, ...] = ()

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from nimprep.frame import LabelClass
-from nimprep.readers.cameras import CameraSource
+from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.description import Description
 from nimprep.readers.folder import FolderReader
 
@@ -37,7 +37,7 @@ def open_gmrp(
     root: Path | str,
     *,
     labels: bool = True,
-    camera: CameraSource | None = None,
+    camera: GivenCamera | None = None,
     depth_scale: float | None = None,
 ) -> FolderReader:
     """Open a folder in GMRP's layout.

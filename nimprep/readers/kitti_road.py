@@ -26,11 +26,11 @@ from nimprep.frame import IGNORE_LABEL, Frame, LabelClass
 from nimprep.images import read_rgb
 from nimprep.kitti.calibration import Calibration, read_calibration
 from nimprep.kitti.depth import (
-    DepthSource,
+    DepthOrigin,
     check_frame_size,
-    choose_source,
+    choose_origin,
     frame_depth,
-    source_file,
+    origin_file,
 )
 from nimprep.kitti.images import read_ground_truth
 from nimprep.kitti.layout import RoadFiles, list_road_files
@@ -88,7 +88,7 @@ class KittiRoadReader(ReaderBase):
         self.root = Path(root)
         self._labels, self._target, self._sparse = labels, target, sparse
         self._files: dict[str, RoadFiles] = {}
-        self._depth: dict[str, DepthSource] = {}
+        self._depth: dict[str, DepthOrigin] = {}
         for files in list_road_files(self.root):
             category = frame_category(files.name)
             if category is None:
@@ -106,7 +106,7 @@ class KittiRoadReader(ReaderBase):
     def _add(self, files: RoadFiles, depth_from: DepthFrom | None) -> None:
         self._files[files.id] = files
         if depth_from is not None:
-            self._depth[files.id] = choose_source(files, depth_from, self._sparse)
+            self._depth[files.id] = choose_origin(files, depth_from, self._sparse)
         truth = files.ground_truth(self._target)
         if self._labels and files.split != "testing" and not truth.is_file():
             raise LayoutError(
@@ -122,7 +122,7 @@ class KittiRoadReader(ReaderBase):
         """Return "test" for the benchmark's testing frames, None for the others."""
         return "test" if self._files[frame_id].split == "testing" else None
 
-    def depth_source(self, frame_id: str) -> DepthSource | None:
+    def depth_source(self, frame_id: str) -> DepthOrigin | None:
         """Return where the frame's depth comes from; None = depth is not read."""
         return self._depth.get(frame_id)
 
@@ -152,7 +152,7 @@ class KittiRoadReader(ReaderBase):
         if self._labels and truth.is_file():
             paths.append(truth)
         if frame_id in self._depth:
-            paths.append(source_file(files, self._depth[frame_id]))
+            paths.append(origin_file(files, self._depth[frame_id]))
         return tuple(paths)
 
     def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:

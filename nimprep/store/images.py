@@ -142,9 +142,9 @@ class ImageArray:
         StoreError
             It is damaged, or not the one that the store's tables go with.
         """
-        shard, position = divmod(index, self.shard_length)
+        shard, place = divmod(index, self.shard_length)
         entries = self._index_once(shard)
-        packed = read_chunk(self._storage, self.shard_key(shard), entries, position)
+        packed = read_chunk(self._storage, self.shard_key(shard), entries, place)
         if self._own is not None:
             found = None if packed is None else packed[-4:].tobytes()
             if found != self._own.of_frame(index):

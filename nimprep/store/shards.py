@@ -143,7 +143,7 @@ def read_checksums(
     StoreError
         The shard is gone, cut short, or has a chunk too short for a checksum.
     """
-    spans = [_span(index, position) for position in range(frames)]
+    spans = [_span(index, place) for place in range(frames)]
     short = next((n for n, span in enumerate(spans) if span is not None and span[1] < 4), None)
     if short is not None:
         raise StoreError(
@@ -155,7 +155,7 @@ def read_checksums(
 
 
 def read_chunk(
-    storage: Storage, key: str, index: npt.NDArray[np.uint64], position: int
+    storage: Storage, key: str, index: npt.NDArray[np.uint64], place: int
 ) -> npt.NDArray[np.uint8] | None:
     """Return the checked, still compressed bytes of one chunk, its checksum at the end.
 
@@ -166,7 +166,7 @@ def read_chunk(
     StoreError
         The shard is gone, cut short, or the chunk's checksum does not fit.
     """
-    span = _span(index, position)
+    span = _span(index, place)
     if span is None:
         return None
     offset, length = span
@@ -174,18 +174,18 @@ def read_chunk(
     found = storage.read_into(key, offset, data)
     if found != length or found < 4:
         raise StoreError(
-            f"{storage}/{key}: expected {length} bytes of chunk {position}, found {found}; {MEND}"
+            f"{storage}/{key}: expected {length} bytes of chunk {place}, found {found}; {MEND}"
         )
     if google_crc32c.value(data) != _CRC_RESIDUE:
         raise StoreError(
-            f"{storage}/{key}: expected chunk {position} undamaged, found a wrong checksum; {MEND}"
+            f"{storage}/{key}: expected chunk {place} undamaged, found a wrong checksum; {MEND}"
         )
     return data
 
 
-def _span(index: npt.NDArray[np.uint64], position: int) -> tuple[int, int] | None:
+def _span(index: npt.NDArray[np.uint64], place: int) -> tuple[int, int] | None:
     """Return a chunk's offset and length in its shard; None where it is all fill value."""
-    offset, length = int(index[position, 0]), int(index[position, 1])
+    offset, length = int(index[place, 0]), int(index[place, 1])
     return None if offset == MISSING else (offset, length)
 
 

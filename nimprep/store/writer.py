@@ -16,7 +16,7 @@ from nimprep.errors import StoreError
 from nimprep.folders import adopt, adopt_tree, place_of, refuse_inside, refuse_within, sync_folder
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
-from nimprep.schema import json_bytes
+from nimprep.schema import json_bytes, schema_problems
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.checksums import chunk_checksum, with_digest
 from nimprep.store.extras import check_replaceable, discard
@@ -235,6 +235,11 @@ class StoreWriter:
             One array per name in `table_specs`, frame first.
         about : StoreAttributes
             Of the finished store, but for its format and checksums.
+
+        Raises
+        ------
+        StoreError
+            The store could not be opened: the attributes do not fit their schema.
         """
         import zarr
 
@@ -255,6 +260,11 @@ class StoreWriter:
         sums = {name: chunk_checksum(chunk) for name, chunk in chunks.items()}
         about = replace(about, format_version=FORMAT_VERSION, complete=True, tables=sums)
         root["attributes"]["nimprep"] = with_digest(about.to_json())
+        if problems := schema_problems(root["attributes"]["nimprep"], "store"):
+            raise StoreError(
+                f"{self.storage}: expected attributes that a store can have, found {problems[0]}; "
+                "nothing has been published"
+            )
         for key, data in files.items():
             self.storage.write(key, [data])
         self.storage.write(ROOT, [json_bytes(root)])

@@ -191,7 +191,7 @@ def merged_classes(store: Store, classes: Mapping[str, int]) -> npt.NDArray[np.u
     ArrayError
         The store has no class of a name, a class has no label, or a label is not 0 to 255.
     """
-    own = {entry["name"]: int(entry["id"]) for entry in store.attributes["classes"]}
+    own = {entry["name"]: int(entry["id"]) for entry in store.about.classes}
     given = {name: label for name, label in classes.items() if name != "*"}
     if unknown := [name for name in given if name not in own]:
         raise ArrayError(

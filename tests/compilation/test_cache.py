@@ -54,7 +54,7 @@ def run(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
 
     def imported() -> tuple[float, cache.KernelCache]:
         sys.modules.pop("some_kernels", None)
-        cache.source_digest.cache_clear()
+        cache.code_digest.cache_clear()
         cache._source.cache_clear()
         importlib.invalidate_caches()
         module = importlib.import_module("some_kernels")
@@ -190,7 +190,7 @@ def test_a_kernel_depends_on_the_modules_it_is_made_from_and_on_no_other(
     assert any(len(needed(name)) > 1 for name in MODULES)
     for name in MODULES:
         importlib.import_module(name)
-    read, digest = cache._source, cache.source_digest.__wrapped__
+    read, digest = cache._source, cache.code_digest.__wrapped__
     before = {name: digest(name) for name in MODULES}
     for other in MODULES:
         monkeypatch.setattr(cache, "_source", lambda m, other=other: read(m) + b"#" * (m == other))

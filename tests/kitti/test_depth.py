@@ -11,7 +11,7 @@ import pytest
 
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.kitti.depth import (
-    choose_source,
+    choose_origin,
     frame_depth,
     metres_from_millimetres,
     millimetres_from_metres,
@@ -64,20 +64,20 @@ def test_depth_too_large_for_16_bits_saturates_and_reads_as_none() -> None:
 
 
 def test_sources_are_taken_in_order(files: RoadFiles) -> None:
-    assert choose_source(files) == "depth_u16"
-    assert choose_source(files, sparse=True) == "lidar"
-    assert choose_source(files, "stereo") == "stereo"
+    assert choose_origin(files) == "depth_u16"
+    assert choose_origin(files, sparse=True) == "lidar"
+    assert choose_origin(files, "stereo") == "stereo"
     files.depth.unlink()
-    assert choose_source(files) == "lidar"
+    assert choose_origin(files) == "lidar"
     files.scan.unlink()
-    assert choose_source(files) == "stereo"
+    assert choose_origin(files) == "stereo"
     files.right_image.unlink()
     with pytest.raises(
         LayoutError, match=r"depth_u16/um_000000\.png or velodyne/um_000000\.bin or"
     ):
-        choose_source(files)
+        choose_origin(files)
     with pytest.raises(LayoutError, match=r"expected velodyne/um_000000\.bin to make depth"):
-        choose_source(files, "lidar")
+        choose_origin(files, "lidar")
 
 
 def test_a_scan_of_flat_ground_becomes_flat_ground(files: RoadFiles) -> None:
@@ -119,7 +119,7 @@ def test_the_written_depth_reads_as_if_it_had_been_there(files: RoadFiles, tmp_p
     shutil.copytree(
         tmp_path / "out" / "training" / "depth_u16", files.depth.parent, dirs_exist_ok=True
     )
-    assert choose_source(files) == "depth_u16"
+    assert choose_origin(files) == "depth_u16"
     np.testing.assert_array_equal(frame_depth(files, "depth_u16"), expected)
 
 
