@@ -106,27 +106,39 @@ def open_object_workspace(target: ObjectStorage, *, overwrite: bool) -> Iterator
     with locked_objects(target) as lock:
         complete = _check_target(target)
         workspace = ObjectWorkspace(target, hidden, lock)
-        if complete:
-            # What is kept is of a conversion that had its end, or of another store. The plan by its
-            # name: of what a listing leaves out nothing counts without it.
-            if workspace.journal.read(PLAN) is not None:
-                workspace.journal.remove(PLAN)
-            workspace.journal.remove("")
-            if not overwrite:
-                raise StoreError(
-                    f"{target}: expected a free name for the store, found a complete store; "
-                    "use --overwrite to replace it"
-                )
-            check_replaceable(target)
         try:
-            yield workspace
-        except RequestError:
-            raise  # cleaning up would fail as well, each request after a minute
-        except BaseException:
-            with suppress(RequestError):
-                workspace.leave()
-            raise
-        workspace.leave()
+            _clear_old(workspace, complete=complete, overwrite=overwrite)
+            try:
+                yield workspace
+            except RequestError:
+                raise  # cleaning up would fail as well, each request after a minute
+            except BaseException:
+                with suppress(RequestError):
+                    workspace.leave()
+                raise
+            workspace.leave()
+        finally:
+            # The storages and what they ask hold each other, and connections with them.
+            for storage in (workspace.store, workspace.journal):
+                storage.before_write = None
+
+
+def _clear_old(workspace: ObjectWorkspace, *, complete: bool, overwrite: bool) -> None:
+    """Forget what is kept of an earlier conversion, where a complete store is in the place."""
+    if not complete:
+        return
+    target = workspace.store
+    # What is kept is of a conversion that had its end, or of another store. The plan by its
+    # name: of what a listing leaves out nothing counts without it.
+    if workspace.journal.read(PLAN) is not None:
+        workspace.journal.remove(PLAN)
+    workspace.journal.remove("")
+    if not overwrite:
+        raise StoreError(
+            f"{target}: expected a free name for the store, found a complete store; "
+            "use --overwrite to replace it"
+        )
+    check_replaceable(target)
 
 
 def _check_target(target: ObjectStorage) -> bool:

@@ -1,5 +1,6 @@
 """Converting to a URL: the bytes, their order, and what a kill or a fault leaves."""
 
+import gc
 import itertools
 import json
 import os
@@ -53,6 +54,23 @@ def beside(url: str) -> set[str]:
     """Return the names at the store's place, its own among them."""
     parent = ObjectStorage(url.rpartition("/")[0])
     return {key.partition("/")[0] for key in parent.keys()}  # noqa: SIM118 - no dict
+
+
+def test_no_connection_outlives_what_it_was_for(url: str, raw: Path) -> None:
+    gc.collect()
+    before = {id(storage) for storage in connection.live}
+    gc.disable()
+    try:
+        # Without the collector, as in a program that makes little garbage: by its end each is gone.
+        nimprep.convert(raw, url, **OPTIONS)
+        nimprep.convert(raw, url, overwrite=True, **OPTIONS)
+        nimprep.open_store(url)[0]
+        with pytest.raises(StoreError, match="--overwrite"):
+            nimprep.convert(raw, url, **OPTIONS)
+        left = [str(storage) for storage in connection.live if id(storage) not in before]
+    finally:
+        gc.enable()
+    assert left == []
 
 
 def test_the_bytes_are_those_of_a_folder_and_nothing_else_is_there(
