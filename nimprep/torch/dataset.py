@@ -146,8 +146,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
 
     def __repr__(self) -> str:
         """Say what a sample has and where it is from, in one line."""
-        groups = self.selection.inputs or tuple((name,) for name in self.selection.images)
-        sizes = zip(groups, self.selection.channels, strict=True)
+        sizes = zip(self.selection.groups, self.selection.channels, strict=True)
         tensors = " and ".join(f"{'+'.join(group)} ({count}, H, W)" for group, count in sizes)
         height, width = self.images.size
         label = ", label" if self.selection.label else ""
@@ -300,8 +299,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
     def _assembled(self, raw: dict[str, Any]) -> Sample:
         """Normalise what a transform returned and put it together."""
         sample = Sample()
-        groups = self.selection.inputs or tuple((name,) for name in self.selection.images)
-        tensors = [self._joined(group, raw) for group in groups]
+        tensors = [self._joined(group, raw) for group in self.selection.groups]
         if not self.selection.inputs:
             sample.update(zip(self.selection.images, tensors, strict=True))
         else:

@@ -49,8 +49,7 @@ class Normalize(nn.Module):
         images = self.selection.images
         out = {name: value for name, value in batch.items() if name not in images}
         out.pop("label", None)
-        groups = self.selection.inputs or tuple((name,) for name in images)
-        tensors = tuple(self._joined(group, batch) for group in groups)
+        tensors = tuple(self._joined(group, batch) for group in self.selection.groups)
         if not self.selection.inputs:
             out |= dict(zip(images, tensors, strict=True))
         else:

@@ -100,10 +100,14 @@ class Selection:
         return tuple(dict.fromkeys(VIEWS[n].of if n in VIEWS else n for n in self.images))
 
     @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """What each tensor is made of: those in "inputs", or one per image."""
+        return self.inputs or tuple((name,) for name in self.images)
+
+    @property
     def channels(self) -> tuple[int, ...]:
         """Channels of each tensor in "inputs", or of each image where there are none."""
-        groups = self.inputs or tuple((name,) for name in self.images)
-        return tuple(sum(CHANNELS[name] for name in group) for group in groups)
+        return tuple(sum(CHANNELS[name] for name in group) for group in self.groups)
 
 
 def select(

@@ -58,7 +58,7 @@ def check_returned(sample: Any, frame_id: str, given: Collection[str]) -> None:
         raise ArrayError(f"{where} {missing[0]} from the transform, found {', '.join(sample)}")
     images = {name: sample[name] for name in IMAGES if name in needed}
     for name, image in images.items():
-        shape: tuple[Any, ...] = (len(MODALITIES[name].channels) or 1, "H", "W")
+        shape: tuple[Any, ...] = (MODALITIES[name].channel_count, "H", "W")
         if MODALITIES[name].values == "classes":
             shape = shape[1:]
         if not isinstance(image, Tensor):
