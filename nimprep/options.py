@@ -56,7 +56,12 @@ class Option:
         if value is None and NoneType in self.types:
             return None
         made = self._made(value)
-        self._check_bounds(value if made is None else made, known=made is not None)
+        if made is None:
+            raise self._wrong(self._kind(), value)
+        if self.least is not None and not made >= self.least:
+            raise self._wrong(f"{self.least:g} or more", made)
+        if self.most is not None and not made <= self.most:
+            raise self._wrong(f"{self.most:g} or less", made)
         return made
 
     def _made(self, value: Any) -> Any:
@@ -77,18 +82,14 @@ class Option:
         # Of another kind: whose option it is says what it can be.
         return value if any(get_origin(kind) for kind in self.types) else None
 
-    def _check_bounds(self, value: Any, *, known: bool) -> None:
-        expected = None
-        if self.choices and not known:
-            expected = f"one of {', '.join(self.choices)}"
-        elif not known:
-            expected = next((said for kind, said in _SAID.items() if kind in self.types), "a value")
-        elif self.least is not None and not value >= self.least:
-            expected = f"{self.least:g} or more"
-        elif self.most is not None and not value <= self.most:
-            expected = f"{self.most:g} or less"
-        if expected is not None:
-            raise ArrayError(f"{self.name}: expected {expected}, found {value!r}")
+    def _kind(self) -> str:
+        """Return what values it can have, for messages."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        return next((said for kind, said in _SAID.items() if kind in self.types), "a value")
+
+    def _wrong(self, expected: str, found: Any) -> ArrayError:
+        return ArrayError(f"{self.name}: expected {expected}, found {found!r}")
 
 
 def option(default: Any, help: str = "", **said: Any) -> Any:  # noqa: A002
