@@ -24,7 +24,7 @@ import numpy as np
 from nimprep.errors import StoreError
 from nimprep.export.places import write_new
 from nimprep.kitti.images import png_bytes
-from nimprep.readers.description import group_of
+from nimprep.readers.matching import group_of
 from nimprep.schema import json_bytes
 from nimprep.splits import split_document
 from nimprep.store.reader import Store

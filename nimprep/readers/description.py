@@ -1,186 +1,261 @@
-"""The description of a folder dataset: what is where, in which unit, with which camera."""
+"""The description of a dataset as data: which files make a frame, and what their numbers mean.
+
+schemas/folder.schema.json says the same of a JSON file, name by name, with what each means.
+"""
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from nimprep.errors import LayoutError
-from nimprep.frame import IGNORE_LABEL, LabelClass
-from nimprep.readers.patterns import capture
-from nimprep.schema import check_json, read_json
+from nimprep.frame import LabelClass
+from nimprep.splits import SplitName
 
-MAX_FILES = 1 << 22
-"""A dataset's folder with more files is refused: a link led somewhere it should not."""
+Missing = Literal["error", "skip", "none"]
+"""What a frame is that lacks a file: bad, left out, or one that has none."""
+
+Color = tuple[int, int, int]
+Invalid = float | tuple[float | None, float | None]
+"""A raw value, or the first and the last of a range; None = no bound."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class Raw:
+    """Describe a file of bare numbers, row by row."""
+
+    dtype: str
+    width: int
+    height: int
+    channels: int = 1
+    header_bytes: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneSource:
+    """Say which files hold one kind of image, and how one of them is read.
+
+    Attributes
+    ----------
+    files : str
+        Pattern below the dataset's folder.
+    key, axes : str, optional
+        Of an array in a container, and what its axes are.
+    raw : Raw, optional
+        None = the file says what it holds.
+    channel : "R", "G", "B", "A" or int, optional
+        The one that counts; None = all.
+    byte_order : {"little", "big", "swapped"}, optional
+    missing : {"error", "skip", "none"}
+    """
+
+    files: str
+    key: str | None = None
+    axes: str | None = None
+    raw: Raw | None = None
+    channel: str | int | None = None
+    byte_order: Literal["little", "big", "swapped"] | None = None
+    missing: Missing = "error"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorSource(PlaneSource):
+    """Say where colour is; `range` = what becomes 0 and 255, where there are more than 8 bits."""
+
+    range: tuple[float, float] | None = None
+    channels: Literal["RGB", "BGR"] = "RGB"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthSource(PlaneSource):
+    """Say where depth is and what its numbers mean.
+
+    Attributes
+    ----------
+    values : {"depth", "distance", "disparity", "inverse"}
+        What `scale * raw + offset` is: metres along the optical axis or along the ray, pixels of
+        disparity, or 1/metre.
+    scale, offset : float
+    baseline_m, fx : float, optional
+        Of disparity; None = the camera's.
+    invalid : tuple
+        Raw values and ranges that mean no depth.
+    range_m : (least, most), metres; None = no bound
+        What lies outside is none.
+    clip_m : float, metres, optional
+        What lies beyond is set to this.
+    rotate_right : int
+        Bits by which 16-bit values are rotated first.
+    bytes : str, optional
+        Channels whose bytes make a value, the lowest first.
+    bytes_as : {"unsigned", "float32"}
+    confidence : PlaneSource, optional
+        Depth is none where it is below `least_confidence`.
+    camera : CameraSource, optional
+        Of depth, where it is another than colour's.
+    depth_to_rgb : 4 rows of 4, metres, optional
+        From the depth camera's frame to the colour camera's.
+    """
+
+    values: Literal["depth", "distance", "disparity", "inverse"] = "depth"
+    scale: float = 0.001
+    offset: float = 0.0
+    baseline_m: float | None = None
+    fx: float | None = None
+    invalid: tuple[Invalid, ...] = (0,)
+    range_m: tuple[float | None, float | None] = (None, None)
+    clip_m: float | None = None
+    rotate_right: int = 0
+    bytes: str | None = None
+    bytes_as: Literal["unsigned", "float32"] = "unsigned"
+    confidence: PlaneSource | None = None
+    least_confidence: float = 1.0
+    camera: CameraSource | None = None
+    depth_to_rgb: tuple[tuple[float, ...], ...] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelSource(PlaneSource):
+    """Say where labels are and what their values are.
+
+    Attributes
+    ----------
+    ranges : tuple of (first, last, class id), optional
+        Raw values; None with no `colors` = they are class ids.
+    colors : mapping of (r, g, b) to class id, optional
+    default : int, optional
+        Class of what neither names; None = that is an error.
+    """
+
+    ranges: tuple[tuple[int, int, int], ...] | None = None
+    colors: Mapping[Color, int] | None = None
+    default: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtraSource(PlaneSource):
+    """Say where a further kind of image is, what a store holds of it, and what its numbers mean."""
+
+    dtype: str
+    scale: float = 1.0
+    offset: float = 0.0
+    units: str = ""
+    long_name: str = ""
+    fill: int | None = None
+    source_scale: float | None = None
+    source_offset: float | None = None
+    resize: Literal["nearest", "linear"] = "nearest"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSource:
+    """Say where cameras are: numbers of a camera file as they are, or files.
+
+    Attributes
+    ----------
+    numbers : dict, optional
+        As schemas/camera.schema.json has them.
+    files : str, optional
+        Pattern of camera files; without placeholders one for all.
+    keys : mapping of number to its place in JSON
+    key : str, optional
+        Which matrix of several.
+    columns : tuple of str
+        Of a table with a row per frame.
+    for_size : (width, height), optional
+        What the numbers hold for; images of another size have them scaled.
+    pixel_origin : {0, 1}
+    baseline_m : float, optional
+    distortion : {"undistort", "refuse", "rectified"}
+    """
+
+    numbers: dict[str, Any] | None = None
+    files: str | None = None
+    keys: Mapping[str, str] = field(default_factory=dict)
+    key: str | None = None
+    columns: tuple[str, ...] = ()
+    for_size: tuple[int, int] | None = None
+    pixel_origin: int = 0
+    baseline_m: float | None = None
+    distortion: Literal["undistort", "refuse", "rectified"] = "undistort"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitSource:
+    """Say whose split the dataset's authors chose: by a template and names, or by list files."""
+
+    of: str | None = None
+    names: Mapping[str, SplitName | Literal["skip"]] | None = None
+    lists: Mapping[SplitName, str] = field(default_factory=dict)
+    rest: SplitName | Literal["error", "skip"] = "error"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Match:
+    """Say how files are paired that share no name: by time, or by a list of pairs."""
+
+    by: str | None = None
+    unit_s: float = 1.0
+    tolerance_s: float = 0.02
+    lists: Mapping[str, str] = field(default_factory=dict)
+    pairs: str | None = None
+    columns: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Description:
-    """Describe a dataset of one image file per frame and modality.
+    """Describe a dataset.
 
     Attributes
     ----------
     name : str
         What the store calls the dataset.
-    rgb, depth, label : str
-        Glob patterns below the dataset's folder with one ``{id}``, which may span folders;
-        `label` is None where there are none.
-    depth_scale : float
-        Metres per raw depth unit.
-    depth_invalid : tuple of float
-        Raw values that mean "no depth".
+    rgb, depth, label : sources, or None where there are none
+    planes : mapping of name to ExtraSource
+    id : str, optional
+        Template of placeholders; None = "{id}".
     classes : tuple of LabelClass
-        What the mapped labels mean.
-    label_map : mapping of raw value, or (r, g, b), to class id; None = labels are class ids
-    label_default : int, optional
-        Class of raw values that the map does not name; None = they are an error.
-    camera : str or dict, optional
-        A camera file (with ``{id}``: one per frame), or the camera's numbers.
+        What the labels mean, once they are mapped.
+    camera : CameraSource, optional
+        None = the nominal RealSense D415.
     group : str, optional
-        Pattern over ids with one ``{group}``: the scene.
+        Template of placeholders, or pattern over ids with ``{group}``.
+    split : SplitSource, optional
+        None = as folders and lists named train, val and test say; `no_split` = free.
+    match : Match, optional
+        None = files of equal placeholders belong together.
+    size : {"rgb", "depth"} or (width, height), optional
+        To which registered images of different size are brought.
+    orientation : {"apply", "ignore", "refuse"}
+        What to do with an EXIF orientation.
     """
 
     name: str
-    rgb: str
-    depth: str
-    label: str | None = None
-    depth_scale: float = 0.001
-    depth_invalid: tuple[float, ...] = (0,)
+    rgb: ColorSource
+    depth: DepthSource | None = None
+    label: LabelSource | None = None
+    planes: Mapping[str, ExtraSource] = field(default_factory=dict)
+    id: str | None = None
     classes: tuple[LabelClass, ...] = ()
-    label_map: Mapping[int | tuple[int, int, int], int] | None = field(default=None)
-    label_default: int | None = None
-    camera: str | dict[str, Any] | None = None
+    camera: CameraSource | None = None
     group: str | None = None
+    split: SplitSource | None = None
+    no_split: bool = False
+    match: Match | None = None
+    size: Literal["rgb", "depth"] | tuple[int, int] | None = None
+    orientation: Literal["apply", "ignore", "refuse"] = "apply"
+
+    def sources(self) -> Iterator[tuple[str, PlaneSource]]:
+        """Yield every kind of image that a frame has, by name: planes under their own."""
+        yield "rgb", self.rgb
+        if self.depth is not None:
+            yield "depth", self.depth
+            if self.depth.confidence is not None:
+                yield CONFIDENCE, self.depth.confidence
+        if self.label is not None:
+            yield "label", self.label
+        yield from self.planes.items()
 
 
-def description_from_file(path: Path | str) -> Description:
-    """Read a folder description (schemas/folder.schema.json).
-
-    Raises
-    ------
-    LayoutError
-        It is missing, no JSON, or does not fit the schema.
-    """
-    document = read_json(Path(path), LayoutError)
-    check_json(document, "folder", str(path), LayoutError)
-    label = document.get("label")
-    classes = tuple(
-        LabelClass(c["id"], c["name"], (c["color"][0], c["color"][1], c["color"][2]))
-        for c in document.get("classes", [])
-    )
-    known = {c.id for c in classes} | {IGNORE_LABEL}
-    label_map = label_default = None
-    if label is not None:
-        if not classes:
-            raise LayoutError(f"{path}: expected 'classes' beside 'label', found none")
-        if len(known) != len(classes) + 1:
-            raise LayoutError(f"{path}: expected each class id once, found one twice")
-        label_default = label.get("default")
-        if "map" in label:
-            label_map = {_raw_value(key): int(value) for key, value in label["map"].items()}
-        for value in [*(label_map or {}).values(), label_default]:
-            if value is not None and value not in known:
-                raise LayoutError(f"{path}: expected labels mapped to classes, found {value}")
-    if document.get("group", "{group}").count("{group}") != 1:
-        raise LayoutError(f"{path}: expected one {{group}} in 'group', found several")
-    depth = document["depth"]
-    return Description(
-        name=document["name"],
-        rgb=document["rgb"],
-        depth=depth["files"],
-        label=None if label is None else label["files"],
-        depth_scale=float(depth["scale_m"]),
-        depth_invalid=tuple(depth.get("invalid", [0])),
-        classes=classes,
-        label_map=label_map,
-        label_default=label_default,
-        camera=document.get("camera"),
-        group=document.get("group"),
-    )
-
-
-def _raw_value(key: str) -> int | tuple[int, int, int]:
-    if key.startswith("#"):
-        return int(key[1:3], 16), int(key[3:5], 16), int(key[5:7], 16)
-    return int(key)
-
-
-def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
-    """Return {frame id: file} for a pattern with ``{id}``.
-
-    Hidden files and folders are passed over.
-
-    Raises
-    ------
-    LayoutError
-        The pattern leaves the folder, its folder is missing, or two files give one id.
-    """
-    if pattern.count("{id}") != 1 or pattern.startswith("/") or ".." in pattern.split("/"):
-        raise LayoutError(
-            f"{root}: expected a pattern below the folder with one {{id}}, found {pattern!r}"
-        )
-    fixed = re.split(r"[^/]*[*?{]", pattern, maxsplit=1)[0]
-    start = root / fixed
-    # Path.is_dir raises where a name is too long for any file.
-    if not os.path.isdir(start):  # noqa: PTH112
-        raise LayoutError(f"{start}: expected a folder with files {pattern!r}, found none")
-    found: dict[str, Path] = {}
-    for path in _files_below(start, root):
-        frame_id = capture(pattern, path.relative_to(root).as_posix(), "id")
-        if frame_id is None:
-            continue
-        if not frame_id.isprintable():
-            raise LayoutError(f"{path!a}: expected a printable file name, found another")
-        if frame_id in found:
-            raise LayoutError(
-                f"{path}: expected one file per id {frame_id!r}, found "
-                f"{found[frame_id]} too; put more of the path into {{id}}"
-            )
-        found[frame_id] = path
-    return found
-
-
-def _files_below(start: Path, root: Path) -> Iterator[Path]:
-    """Yield files in order, each folder once; hidden ones are passed over.
-
-    Links are followed, as datasets are often spread over disks, and only ever read through: to
-    files wherever they are, to folders too unless they lead to the dataset's own folder or one
-    above it. Such a link would bring in the whole disk, the dataset again included.
-    """
-
-    def refuse(error: OSError) -> None:
-        raise LayoutError(
-            f"{error.filename}: expected a readable folder, found {error.strerror}"
-        ) from error
-
-    seen: set[str] = set()
-    count, home = 0, Path(os.path.realpath(root))
-    for folder, subfolders, names in os.walk(start, onerror=refuse, followlinks=True):
-        real = os.path.realpath(folder)
-        if real in seen:
-            subfolders.clear()
-            continue
-        if home.is_relative_to(real) and Path(folder) != root:
-            raise LayoutError(
-                f"{folder}: expected a link into the dataset or away from it, found one to {real}, "
-                "which holds the dataset; remove the link"
-            )
-        seen.add(real)
-        count += len(names) + 1
-        if count > MAX_FILES:
-            raise LayoutError(f"{start}: expected at most {MAX_FILES} files, found more")
-        subfolders[:] = sorted(s for s in subfolders if not s.startswith("."))
-        for name in sorted(n for n in names if not n.startswith(".")):
-            path = Path(folder, name)
-            # A pipe or a device would wait for ever; a link to nothing is an error when read.
-            if path.is_file() or not path.exists():
-                yield path
-
-
-def group_of(frame_id: str, pattern: str | None) -> str:
-    """Return the scene in a frame id by a pattern with ``{group}``; "" where it does not fit."""
-    return "" if pattern is None else capture(pattern, frame_id, "group", lazy=True) or ""
+CONFIDENCE = "depth confidence"
+"""What depth's confidence is called among a frame's files."""

@@ -1,32 +1,30 @@
-"""Any dataset of one image file per frame and modality, by a description of it."""
+"""Any dataset of image files, by a description of it."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
+from nimprep.camera import Camera
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import Frame
-from nimprep.images import read_depth, read_header, read_label, read_rgb
 from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
-from nimprep.readers.cameras import (
-    GivenCamera,
-    camera_from_document,
-    camera_from_file,
-    nominal_camera,
-)
-from nimprep.readers.description import (
-    Description,
-    description_from_file,
-    files_by_id,
-    group_of,
-)
-from nimprep.readers.frames import check_label, check_same_shape, depth_in_metres, match_frames
+from nimprep.readers.cameras import GivenCamera
+from nimprep.readers.color_values import color_image
+from nimprep.readers.depth_values import depth_image, raw_depth
+from nimprep.readers.description import Description
+from nimprep.readers.description_file import description_from_file
+from nimprep.readers.extra_values import extra_image
+from nimprep.readers.frame_cameras import FrameCameras
+from nimprep.readers.label_values import label_image
+from nimprep.readers.matching import Place, group_of, matched_frames
+from nimprep.readers.official_splits import official_splits
+from nimprep.readers.registration import registered, registered_shape
+from nimprep.splits import SplitName
 
 _NOMINAL_NOTE = (
     "no calibration: assuming the nominal RealSense D415 colour camera (69.4 degrees wide); "
@@ -71,108 +69,79 @@ class FolderReader(ReaderBase):
             raise LayoutError(f"{self.root}: expected a dataset's folder, found none")
         if not isinstance(description, Description):
             description = description_from_file(description)
-        self._description = description
-        self._scale = depth_scale
-        self._files: dict[str, dict[str, Path]] = {
-            "rgb": files_by_id(self.root, description.rgb),
-            "depth": files_by_id(self.root, description.depth),
-        }
-        if labels and description.label is not None:
-            try:
-                self._files["label"] = files_by_id(self.root, description.label)
-            except LayoutError as error:
-                raise LayoutError(f"{error}; use --no-labels to convert without") from error
-        self.ids = match_frames(self._files, self.root)
-        self._camera, self._cameras = self._choose_camera(camera)
-        origin = self._camera.origin if self._camera else "file"
+        self._description, self._scale = description, depth_scale
+        wanted = {name for name, _ in description.sources()} - (set() if labels else {"label"})
+        self._matched = matched_frames(self.root, description, wanted)
+        self._splits = official_splits(self.root, description, self._matched)
+        self.ids = tuple(i for i in self._matched.ids if i not in self._splits.skipped)
+        self._cameras = FrameCameras(self.root, description.camera, self._matched, camera)
+        nominal = (_NOMINAL_NOTE,) if self._cameras.origin == "nominal" else ()
         self.info = DatasetInfo(
             name=description.name,
-            classes=description.classes if "label" in self._files else (),
-            calibration=origin,
-            notes=(_NOMINAL_NOTE,) if origin == "nominal" else (),
+            classes=description.classes if "label" in self._matched.places else (),
+            calibration=self._cameras.origin,
+            notes=(*nominal, *self._matched.notes, *self._splits.notes),
         )
-
-    def _choose_camera(
-        self, given: GivenCamera | None
-    ) -> tuple[GivenCamera | None, dict[str, Path]]:
-        """Return one camera for all frames, or None and a file per frame."""
-        described = self._description.camera
-        self._shared: tuple[Path, ...] = ()
-        if given is not None:
-            return given, {}
-        if isinstance(described, dict):
-            return camera_from_document(described, f"{self.root}: 'camera'"), {}
-        if described is None:
-            return nominal_camera(), {}
-        if "{id}" not in described:
-            if ".." in described.split("/"):
-                raise LayoutError(
-                    f"{self.root}: expected a camera file below the folder, found {described!r}"
-                )
-            self._shared = (self.root / described,)
-            return camera_from_file(self.root / described, pipes=False), {}
-        files = files_by_id(self.root, described)
-        match_frames({"camera": files, "rgb": self._files["rgb"]}, self.root)
-        return None, files
 
     def group(self, frame_id: str) -> str:
-        """Return the scene by the description's pattern; "" = none."""
+        """Return the scene by the description's template or pattern; "" = none."""
         return group_of(frame_id, self._description.group)
 
+    def fixed_split(self, frame_id: str) -> SplitName | None:
+        """Return the split the dataset's authors put the frame in."""
+        return self._splits.of_frame.get(frame_id)
+
     def sources(self, frame_id: str) -> tuple[Path, ...]:
-        """Return the frame's image files and the camera file that holds for it, where one does."""
-        own = (self._cameras[frame_id],) if self._cameras else self._shared
-        return (*(files[frame_id] for files in self._files.values()), *own)
+        """Return the frame's image files and the camera files that hold for it."""
+        images = (place.path for place in self._matched.of(frame_id).values())
+        return (*images, *self._cameras.sources(frame_id))
 
     def shape(self, frame_id: str) -> tuple[int, int]:
-        """Return (height, width) from the depth image's header."""
-        header = read_header(self._files["depth"][frame_id])
-        return header.height, header.width
+        """Return (height, width) of the frame's images, from headers."""
+        return registered_shape(self._places(frame_id), self._description)
+
+    def _places(self, frame_id: str) -> dict[str, Place]:
+        if frame_id in self._matched.lacking:
+            raise DecodeError(self._matched.lacking[frame_id])
+        return self._matched.of(frame_id)
 
     def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
-        """Return the frame's rgb, depth_m and label, as far as `modalities` names them."""
-        paths = {n: files[frame_id] for n, files in self._files.items() if n in modalities}
-        decode = {"rgb": read_rgb, "depth": read_depth, "label": read_label}
-        raw: dict[str, npt.NDArray[Any]] = {n: decode[n](path) for n, path in paths.items()}
-        check_same_shape({paths[n]: image for n, image in raw.items()})
-        height, width = next(iter(raw.values())).shape[:2] if raw else self.shape(frame_id)
-        intrinsics = self._camera or camera_from_file(self._cameras[frame_id], pipes=False)
+        """Return the frame's rgb, depth_m, label and planes, as far as `modalities` names them."""
+        places, camera = self._places(frame_id), self._cameras.of(frame_id)
+        images = self._images({n: p for n, p in places.items() if n in modalities}, camera)
+        if not images:
+            return self._frame(frame_id, camera.camera(*self.shape(frame_id), frame_id), {})
+        made = registered(frame_id, images, places, camera, self._description)
+        return self._frame(frame_id, made.camera, made.images)
+
+    def _frame(
+        self, frame_id: str, camera: Camera, images: Mapping[str, npt.NDArray[Any]]
+    ) -> Frame:
         return Frame(
             id=frame_id,
-            camera=intrinsics.camera(height, width, frame_id),
-            rgb=raw.get("rgb"),
-            depth_m=self._metres(raw["depth"], paths["depth"]) if "depth" in raw else None,
-            label=self._class_ids(raw["label"], paths["label"]) if "label" in raw else None,
+            camera=camera,
+            rgb=images.get("rgb"),
+            depth_m=images.get("depth"),
+            label=images.get("label"),
             group=self.group(frame_id),
-            baseline_m=intrinsics.baseline_m,
+            baseline_m=self._cameras.of(frame_id).baseline_m,
+            others={n: images[n] for n in self._description.planes if n in images},
         )
 
-    def _metres(self, raw: npt.NDArray[Any], path: Path) -> npt.NDArray[np.float32]:
-        return depth_in_metres(
-            raw,
-            path,
-            scale_m=self._scale or self._description.depth_scale,
-            invalid=self._description.depth_invalid,
-            check_unit=self._scale is None,
-        )
-
-    def _class_ids(self, raw: npt.NDArray[Any], path: Path) -> npt.NDArray[np.uint8]:
-        label_map = self._description.label_map
-        if label_map is None:
-            return check_label(raw, self._description.classes, path)
-        if raw.ndim == 3:
-            codes = raw.astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
-        else:
-            codes = raw.astype(np.int64)
-        values, where = np.unique(codes, return_inverse=True)
-        mapped = []
-        for value in values.tolist():
-            key = (value >> 16, value >> 8 & 255, value & 255) if raw.ndim == 3 else value
-            known = label_map.get(key, self._description.label_default)
-            if known is None:
-                raise DecodeError(
-                    f"{path}: expected labels of the description's map, found {key}; "
-                    "add it to the map, or a 'default'"
-                )
-            mapped.append(known)
-        return np.array(mapped, dtype=np.uint8)[where].reshape(codes.shape)
+    def _images(self, places: dict[str, Place], camera: GivenCamera) -> dict[str, npt.NDArray[Any]]:
+        """Decode what is wanted of a frame, each image as large as its file's."""
+        described = self._description
+        images: dict[str, npt.NDArray[Any]] = {}
+        if "rgb" in places:
+            images["rgb"] = color_image(places["rgb"], described.rgb)
+        if "depth" in places and described.depth is not None:
+            raw = raw_depth(places["depth"], described.depth)
+            images["depth"] = depth_image(
+                places["depth"], described.depth, raw, camera, scale_m=self._scale
+            )
+        if "label" in places and described.label is not None:
+            images["label"] = label_image(places["label"], described.label, described.classes)
+        for name, source in described.planes.items():
+            if name in places:
+                images[name] = extra_image(places[name], source)
+        return images

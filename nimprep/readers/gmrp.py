@@ -15,16 +15,20 @@ from pathlib import Path
 
 from nimprep.frame import LabelClass
 from nimprep.readers.cameras import GivenCamera
-from nimprep.readers.description import Description
+from nimprep.readers.description import (
+    CameraSource,
+    ColorSource,
+    DepthSource,
+    Description,
+    LabelSource,
+)
 from nimprep.readers.folder import FolderReader
 
 GMRP = Description(
     name="gmrp",
-    rgb="rgb/{id}.png",
-    depth="depth_u16/{id}.png",
-    label="label/{id}.png",
-    depth_scale=0.001,
-    depth_invalid=(0, 65535),
+    rgb=ColorSource(files="rgb/{id}.png"),
+    depth=DepthSource(files="depth_u16/{id}.png", scale=0.001, invalid=(0, 65535)),
+    label=LabelSource(files="label/{id}.png"),
     classes=(
         LabelClass(0, "background", (0, 0, 0)),
         LabelClass(1, "drivable area", (0, 200, 0)),
@@ -47,5 +51,5 @@ def open_gmrp(
     """
     description = GMRP
     if (Path(root) / "camera.json").is_file():
-        description = replace(description, camera="camera.json")
+        description = replace(description, camera=CameraSource(files="camera.json"))
     return FolderReader(root, description, labels=labels, camera=camera, depth_scale=depth_scale)

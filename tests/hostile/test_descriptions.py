@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from nimprep.errors import CameraError, LayoutError, NimprepError, SplitError
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.cameras import camera_from_file
-from nimprep.readers.description import files_by_id, group_of
+from nimprep.readers.matching import files_by_id, group_of
 from nimprep.splits import split_document, splits_from_file
 from tests.fakes import NYU_LIKE, write_nyu_like
 from tests.hostile.damage import damaged, damaged_document

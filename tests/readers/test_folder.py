@@ -8,7 +8,7 @@ import pytest
 from nimprep.errors import DecodeError, LayoutError, OptionError
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.base import Reader
-from nimprep.readers.description import files_by_id, group_of
+from nimprep.readers.matching import files_by_id, group_of
 from tests.fakes import NYU_LIKE, depth_image, write_gmrp, write_nyu_like, write_png
 
 GMRP_DESCRIBED = {

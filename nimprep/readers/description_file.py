@@ -1,0 +1,195 @@
+"""A folder description in JSON, read and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nimprep.errors import LayoutError
+from nimprep.frame import IGNORE_LABEL, LabelClass
+from nimprep.readers.description import (
+    CameraSource,
+    ColorSource,
+    DepthSource,
+    Description,
+    ExtraSource,
+    Invalid,
+    LabelSource,
+    Match,
+    PlaneSource,
+    Raw,
+    SplitSource,
+)
+from nimprep.schema import check_json, read_json
+
+_SCALES = {
+    "depth": ("scale_m", "offset_m"),
+    "distance": ("scale_m", "offset_m"),
+    "disparity": ("scale_px", "offset_px"),
+    "inverse": ("scale_per_m", "offset_per_m"),
+}
+"""The keys of scale and offset, by what depth's values are."""
+
+
+def description_from_file(path: Path | str) -> Description:
+    """Read a folder description (schemas/folder.schema.json).
+
+    Raises
+    ------
+    LayoutError
+        It is missing, no JSON, or does not fit the schema.
+    """
+    return description_from_document(read_json(Path(path), LayoutError), str(path))
+
+
+def description_from_document(document: Any, where: str) -> Description:
+    """Return the description that a JSON object is.
+
+    Raises
+    ------
+    LayoutError
+        It does not fit the schema, or contradicts itself.
+    """
+    check_json(document, "folder", where, LayoutError)
+    rgb = document["rgb"] if isinstance(document["rgb"], dict) else {"files": document["rgb"]}
+    classes = _classes(document, where)
+    depth, label = document.get("depth"), document.get("label")
+    planes = document.get("planes", {})
+    return Description(
+        name=document["name"],
+        rgb=ColorSource(**_plane(rgb, "range", "channels")),
+        depth=None if depth is None else _depth(depth, where),
+        label=None if label is None else _label(label, classes, where),
+        planes={name: ExtraSource(**_plane(plane, *plane)) for name, plane in planes.items()},
+        id=document.get("id"),
+        classes=classes,
+        camera=_camera(document["camera"]) if "camera" in document else None,
+        group=_group(document, where),
+        split=_split(document.get("split")),
+        no_split=document.get("split") is False,
+        match=_match(document.get("match")),
+        size=_frozen(document.get("size")),
+        orientation=document.get("orientation", "apply"),
+    )
+
+
+def _frozen(value: Any) -> Any:
+    """Return a JSON value with tuples in the place of lists."""
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+def _plane(document: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return the fields of a `PlaneSource`, and those named, as far as they are given."""
+    known = {*PlaneSource.__dataclass_fields__, *names}
+    given = {name: _frozen(value) for name, value in document.items() if name in known}
+    if "raw" in given:
+        given["raw"] = Raw(**given["raw"])
+    return given
+
+
+def _classes(document: Mapping[str, Any], where: str) -> tuple[LabelClass, ...]:
+    classes = tuple(
+        LabelClass(c["id"], c["name"], (c["color"][0], c["color"][1], c["color"][2]))
+        for c in document.get("classes", [])
+    )
+    if "label" in document and not classes:
+        raise LayoutError(
+            f"{where}: expected 'classes' beside 'label', found none; say what the ids mean"
+        )
+    if len({c.id for c in classes}) != len(classes):
+        raise LayoutError(f"{where}: expected each class id once, found one twice")
+    return classes
+
+
+def _group(document: Mapping[str, Any], where: str) -> str | None:
+    group: str | None = document.get("group")
+    if group is not None and group.count("{group}") > 1:
+        raise LayoutError(f"{where}: expected one {{group}} in 'group', found several")
+    return group
+
+
+def _depth(document: Mapping[str, Any], where: str) -> DepthSource:
+    values = document.get("values", "depth")
+    scale, offset = _SCALES[values]
+    others = {key for keys in _SCALES.values() for key in keys} - {scale, offset}
+    if wrong := sorted(others & set(document)):
+        raise LayoutError(
+            f"{where}: expected {scale} and {offset} with depth whose values are {values!r}, "
+            f"found {wrong[0]}; say in 'values' what they are"
+        )
+    if scale not in document:
+        raise LayoutError(f"{where}: expected {scale} in 'depth', found none; add it")
+    plain = ("values", "baseline_m", "fx", "range_m", "clip_m", "rotate_right", "bytes", "bytes_as")
+    given = _plane(document, *plain)
+    confidence = document.get("confidence")
+    camera, transform = document.get("camera"), document.get("depth_to_rgb")
+    return DepthSource(
+        **given,
+        scale=float(document[scale]),
+        offset=float(document.get(offset, 0)),
+        invalid=tuple(map(_invalid, document.get("invalid", [0]))),
+        confidence=None if confidence is None else PlaneSource(**_plane(confidence)),
+        least_confidence=1.0 if confidence is None else float(confidence.get("least", 1)),
+        camera=None if camera is None else _camera(camera),
+        depth_to_rgb=None if transform is None else _transform(transform, where),
+    )
+
+
+def _invalid(value: Any) -> Invalid:
+    return (value[0], value[1]) if isinstance(value, list) else value
+
+
+def _transform(rows: Any, where: str) -> tuple[tuple[float, ...], ...]:
+    """Return a 3x4 or 4x4 transform as 4x4."""
+    last = [0, 0, 0, 1]
+    if len(rows) == 4 and rows[3] != last:
+        raise LayoutError(
+            f"{where}: expected {last} as the last row of depth_to_rgb, found {rows[3]}; "
+            "leave it out"
+        )
+    return tuple(tuple(map(float, row)) for row in [*rows[:3], last])
+
+
+def _label(document: Mapping[str, Any], classes: tuple[LabelClass, ...], where: str) -> LabelSource:
+    known = {c.id for c in classes} | {IGNORE_LABEL}
+    mapped, default = document.get("map"), document.get("default")
+    for value in [*(mapped or {}).values(), default]:
+        if value is not None and value not in known:
+            raise LayoutError(f"{where}: expected labels mapped to classes, found {value}")
+    ranges, colors = None, None
+    if mapped is not None:
+        named = {key: int(value) for key, value in mapped.items()}
+        ranges = tuple((*_range(key, where), v) for key, v in named.items() if key[0] != "#")
+        colors = {_color(key): v for key, v in named.items() if key[0] == "#"} or None
+    return LabelSource(**_plane(document, "default"), ranges=ranges, colors=colors)
+
+
+def _range(key: str, where: str) -> tuple[int, int]:
+    first, _, last = key.partition("-")
+    found = int(first), int(last or first)
+    if found[0] > found[1]:
+        raise LayoutError(f"{where}: expected a range from less to more in 'map', found {key!r}")
+    return found
+
+
+def _color(key: str) -> tuple[int, int, int]:
+    return int(key[1:3], 16), int(key[3:5], 16), int(key[5:7], 16)
+
+
+def _camera(given: Any) -> CameraSource:
+    if isinstance(given, str):
+        return CameraSource(files=given)
+    if "files" not in given:
+        return CameraSource(numbers=given)
+    return CameraSource(**{name: _frozen(value) for name, value in given.items()})
+
+
+def _split(document: Any) -> SplitSource | None:
+    return SplitSource(**document) if isinstance(document, dict) else None
+
+
+def _match(document: Any) -> Match | None:
+    if document is None:
+        return None
+    return Match(**{name: _frozen(value) for name, value in document.items()})
