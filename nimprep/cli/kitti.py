@@ -33,6 +33,16 @@ _overwrite = click.option(
 )
 
 
+_type = click.option(
+    "--type",
+    "target",
+    type=click.Choice(TARGETS),
+    default="road",
+    show_default=True,
+    help="What predictions named by frame id (um_000000) are of.",
+)
+
+
 def _view_option(default: str) -> Callable[[Command], Command]:
     return click.option(
         "--view",
@@ -84,14 +94,19 @@ def depth(
 @click.argument("predictions", type=_FOLDER)
 @click.argument("out", type=_FOLDER)
 @_calib
+@_type
 @_overwrite
 @quiet_option
-def bev(predictions: Path, out: Path, calib: Path | None, overwrite: bool, quiet: bool) -> None:
+def bev(
+    predictions: Path, out: Path, calib: Path | None, target: Target, overwrite: bool, quiet: bool
+) -> None:
     """Transform PREDICTIONS (or ground truths) to the bird's-eye view, into OUT."""
     from nimprep.kitti.transform import transform_folder
 
     progress = progress_bars(quiet)
-    written = transform_folder(predictions, out, calib, progress, overwrite=overwrite)
+    written = transform_folder(
+        predictions, out, calib, progress, target=target, overwrite=overwrite
+    )
     echo(f"{len(written)} images written to {out}")
 
 
@@ -100,15 +115,33 @@ def bev(predictions: Path, out: Path, calib: Path | None, overwrite: bool, quiet
 @click.argument("gt", type=_FOLDER)
 @_calib
 @_view_option("bev")
+@_type
+@click.option(
+    "--partial", is_flag=True, help="Score the frames that have a prediction, not all of GT."
+)
 @json_option
 @quiet_option
 def evaluate(
-    predictions: Path, gt: Path, calib: Path | None, view: View, as_json: bool, quiet: bool
+    predictions: Path,
+    gt: Path,
+    calib: Path | None,
+    view: View,
+    target: Target,
+    partial: bool,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
-    """Score PREDICTIONS against the ground truths GT as the benchmark does, in percent."""
+    """Score PREDICTIONS against the ground truths GT as the benchmark does, in percent.
+
+    PREDICTIONS holds confidence maps named by frame id (um_000000 or training/um_000000) or as the
+    benchmark does (um_road_000000): .png of 8 or 16 bits, or .npy of probabilities, (H, W), 0 to
+    1. Where all are 0 and 1, they are masks.
+    """
     from nimprep.kitti.evaluation import evaluate_predictions
 
-    evaluation = evaluate_predictions(predictions, gt, calib, view, progress_bars(quiet))
+    evaluation = evaluate_predictions(
+        predictions, gt, calib, view, progress_bars(quiet), target=target, partial=partial
+    )
     text = json.dumps(evaluation.to_dict(), indent=2) if as_json else _score_table(evaluation)
     echo(text, lines=True)
 
@@ -148,7 +181,9 @@ def pack(
 ) -> None:
     """Check PREDICTIONS and pack them into the zip that the benchmark takes.
 
-    PREDICTIONS holds <cat>_<type>_<number>.png (8-bit confidences) or .npy (probabilities).
+    PREDICTIONS holds confidence maps named by frame id (um_000000 or testing/um_000000) or as the
+    benchmark does (um_road_000000): .png of 8 or 16 bits, or .npy of probabilities, (H, W), 0 to
+    1. Where all are 0 and 1, they are masks.
     """
     from nimprep.kitti.submission import pack_submission
 
@@ -173,6 +208,7 @@ def pack(
 @click.argument("out", type=_FOLDER)
 @_calib
 @_view_option("perspective")
+@_type
 @click.option(
     "--threshold",
     type=click.FloatRange(0, 1),
@@ -189,6 +225,7 @@ def overlay(
     out: Path,
     calib: Path | None,
     view: View,
+    target: Target,
     threshold: float,
     overwrite: bool,
     quiet: bool,
@@ -196,7 +233,7 @@ def overlay(
     """Draw PREDICTIONS against GT over IMAGES: hits green, misses red, false alarms blue."""
     from nimprep.kitti.overlay import OverlayFolders, write_overlays
 
-    folders = OverlayFolders(predictions, gt, images, calib)
+    folders = OverlayFolders(predictions, gt, images, calib, target)
     progress = progress_bars(quiet)
     written = write_overlays(folders, out, view, threshold, progress, overwrite=overwrite)
     echo(f"{len(written)} pictures written to {out}")

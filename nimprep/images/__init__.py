@@ -11,13 +11,14 @@ made to deceive it is not, and their line then stands beside ours. File descript
 whole process, so that holding it back around a decode would swallow other threads' lines too.
 """
 
-from nimprep.images.array import read_array
+from nimprep.images.array import read_array, read_array_header
 from nimprep.images.decode import read_bytes, read_depth, read_header, read_label, read_rgb
 from nimprep.images.header import ImageHeader
 
 __all__ = [
     "ImageHeader",
     "read_array",
+    "read_array_header",
     "read_bytes",
     "read_depth",
     "read_header",

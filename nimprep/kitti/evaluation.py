@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,8 +13,9 @@ import numpy.typing as npt
 
 from nimprep.errors import ArrayError, DecodeError, LayoutError
 from nimprep.kitti.bev import bring_to_bev, check_size, frame_calibration
-from nimprep.kitti.images import GroundTruth, read_confidence, read_ground_truth
-from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
+from nimprep.kitti.confidences import Confidences, find_confidences, listed
+from nimprep.kitti.images import GroundTruth, read_ground_truth
+from nimprep.kitti.names import PredictionName, Target, truths_by_name
 from nimprep.metrics import LEVELS, Counts, count_confidences, precision_recall_curve
 from nimprep.parallel import Progress, map_frames
 
@@ -23,9 +23,6 @@ View = Literal["bev", "perspective"]
 
 TABLES = ("um_road", "umm_road", "uu_road", "um_lane", "urban")
 """Every table there can be, in order; "urban" pools the road categories."""
-
-NAMED_AT_MOST = 10
-"""Messages name this many files and count the rest."""
 
 
 @dataclass(frozen=True)
@@ -101,13 +98,18 @@ def evaluate_predictions(
     calib: Path | str | None = None,
     view: View = "bev",
     progress: Progress | None = None,
+    *,
+    target: Target = "road",
+    partial: bool = False,
 ) -> Evaluation:
     """Score a folder of predictions against a folder of ground truths.
 
     Parameters
     ----------
     predictions : folder
-        ``<cat>_<type>_<number>``, as .png (8-bit confidences) or .npy (probabilities in [0, 1]).
+        ``<cat>_<type>_<number>`` or the frame's id (``um_000000``, ``training/um_000000``), as .png
+        (confidences of 8 or 16 bits; where all are 0 and 1, masks) or .npy (probabilities in
+        [0, 1]).
     ground_truth : folder
         The benchmark's ``gt_image_2``, or a part of it. For each type (road, lane) among the
         predictions, every ground truth needs a prediction.
@@ -115,11 +117,15 @@ def evaluate_predictions(
         Calibrations; needed where an image has to be transformed.
     view : {"bev", "perspective"}
         In the bird's-eye view, images of other sizes than 400x800 are transformed first.
+    target : {"road", "lane"}
+        What predictions named by frame id predict.
+    partial : bool
+        Score those frames alone that have a prediction.
 
     Warns
     -----
     UserWarning
-        Predictions without a ground truth are left out.
+        Predictions without a ground truth are left out; some hold 0 and 1 alone, others more.
 
     Raises
     ------
@@ -129,18 +135,26 @@ def evaluate_predictions(
         An image or a calibration is bad, sizes differ, or nothing is evaluated.
     """
     predictions, ground_truth = Path(predictions), Path(ground_truth)
-    guesses = predictions_by_name(predictions, PREDICTION_SUFFIXES)
-    truths = predictions_by_name(ground_truth)
-    wanted = _wanted_names(guesses, truths, predictions, ground_truth)
-    count = partial(
-        _count_frame,
-        guesses=guesses,
-        truths=truths,
-        calib=None if calib is None else Path(calib),
-        view=view,
-    )
+    guesses = find_confidences(predictions, "training", target)
+    truths = truths_by_name(ground_truth)
+    wanted = _wanted_names(set(guesses.files), truths, predictions, ground_truth, partial)
+    _warn_of_unscored(guesses, truths, predictions)
+    pairs = Pairs(guesses, truths, None if calib is None else Path(calib), view)
+    counted = dict(zip(wanted, map_frames("evaluate", pairs.count, wanted, progress), strict=True))
+    flat = [name for name, counts in counted.items() if counts[:, 1].any() and _is_flat(counts)]
+    guesses.warn_of_masks(flat, predictions)
+    return Evaluation(_score_tables(counted, ground_truth))
+
+
+def _is_flat(counts: Counts) -> bool:
+    return not counts[:, 2:].any()
+
+
+def _score_tables(
+    counted: Mapping[PredictionName, Counts], ground_truth: Path
+) -> dict[str, RoadScore]:
     tables: dict[str, Counts] = {}
-    for name, counts in zip(wanted, map_frames("evaluate", count, wanted, progress), strict=True):
+    for name, counts in counted.items():
         for table in (name.table, *(["urban"] if name.target == "road" else [])):
             tables[table] = tables.get(table, np.zeros((2, LEVELS), np.int64)) + counts
     scores = {}
@@ -153,14 +167,15 @@ def evaluate_predictions(
                     f"{ground_truth}: expected positive pixels in the evaluated area of {table}, "
                     "found none"
                 ) from error
-    return Evaluation(scores)
+    return scores
 
 
 def _wanted_names(
-    guesses: dict[PredictionName, Path],
-    truths: dict[PredictionName, Path],
+    guesses: Collection[PredictionName],
+    truths: Mapping[PredictionName, Path],
     predictions: Path,
     ground_truth: Path,
+    partial: bool,
 ) -> list[PredictionName]:
     targets = {name.target for name in guesses}
     wanted = [name for name in truths if name.target in targets]
@@ -170,68 +185,89 @@ def _wanted_names(
             f"for the predictions in {predictions}, found none"
         )
     missing = [name.png for name in wanted if name not in guesses]
-    if missing:
+    if missing and not partial:
         raise LayoutError(
             f"{predictions}: expected a prediction for each of {len(wanted)} ground truths, found "
-            f"{len(wanted) - len(missing)}; missing {listed(missing)}"
+            f"{len(wanted) - len(missing)}; missing {listed(missing)}; "
+            "--partial scores the frames that have one"
         )
-    unscored = [path.name for name, path in guesses.items() if name not in truths]
+    if len(missing) == len(wanted):
+        names = sorted(name.frame for name in guesses)
+        raise LayoutError(
+            f"{predictions}: expected predictions of frames with a ground truth in {ground_truth}, "
+            f"found {listed(names)}, which have none; predict training frames"
+        )
+    return [name for name in wanted if name in guesses]
+
+
+def _warn_of_unscored(
+    guesses: Confidences, truths: Mapping[PredictionName, Path], predictions: Path
+) -> None:
+    unscored = [path.name for name, path in guesses.files.items() if name not in truths]
     if unscored:
         warnings.warn(
             f"{predictions}: expected a ground truth for each prediction, found none for "
             f"{len(unscored)}, which are left out: {listed(unscored)}",
             stacklevel=3,
         )
-    return wanted
 
 
-def listed(names: Sequence[str]) -> str:
-    """Return names joined by commas, the first few of many."""
-    more = len(names) - NAMED_AT_MOST
-    return ", ".join(names[:NAMED_AT_MOST]) + (f" and {more} more" if more > 0 else "")
+@dataclass(frozen=True)
+class Pairs:
+    """Bring predictions and their ground truths together in one view.
 
-
-def _count_frame(
-    name: PredictionName,
-    guesses: dict[PredictionName, Path],
-    truths: dict[PredictionName, Path],
-    calib: Path | None,
-    view: View,
-) -> Counts:
-    confidence, truth = read_pair(guesses[name], truths[name], name, calib, view)
-    return count_confidences(confidence, truth.positive, truth.evaluated)
-
-
-def read_pair(
-    guess_path: Path, truth_path: Path, name: PredictionName, calib: Path | None, view: View
-) -> tuple[npt.NDArray[np.uint8], GroundTruth]:
-    """Return a prediction, (H, W) uint8, and its ground truth, both in one view.
-
-    Raises
-    ------
-    LayoutError
-        A calibration is needed and missing.
-    DecodeError
-        A file is bad, sizes differ, or nothing is evaluated.
+    Attributes
+    ----------
+    guesses : Confidences
+    truths : mapping of PredictionName to Path
+    calib : Path or None
+        Calibrations; needed where an image has to be transformed.
+    view : {"bev", "perspective"}
     """
-    confidence = read_confidence(guess_path)
-    truth = read_ground_truth(truth_path)
-    if view == "bev":
-        confidence = bring_to_bev(confidence, guess_path, calib, name.frame)
-        truth = GroundTruth(
-            positive=bring_to_bev(truth.positive, truth_path, calib, name.frame),
-            evaluated=bring_to_bev(truth.evaluated, truth_path, calib, name.frame),
-        )
-        if not truth.evaluated.any():
+
+    guesses: Confidences
+    truths: Mapping[PredictionName, Path]
+    calib: Path | None
+    view: View
+
+    def count(self, name: PredictionName) -> Counts:
+        """Count a frame's confidences, (2, 256)."""
+        confidence, truth = self.read(name)
+        return count_confidences(confidence, truth.positive, truth.evaluated)
+
+    def read(self, name: PredictionName) -> tuple[npt.NDArray[np.uint8], GroundTruth]:
+        """Return a prediction, (H, W) uint8, and its ground truth, both in one view.
+
+        Raises
+        ------
+        LayoutError
+            A calibration is needed and missing.
+        DecodeError
+            A file is bad, sizes differ, or nothing is evaluated.
+        """
+        guess_path, truth_path, calib = self.guesses.files[name], self.truths[name], self.calib
+        confidence = self.guesses.read(name)
+        truth = read_ground_truth(truth_path)
+        if self.view == "bev":
+            confidence = bring_to_bev(confidence, guess_path, calib, name.frame)
+            truth = _truth_in_bev(truth, truth_path, calib, name.frame)
+        elif calib is not None and (calib / f"{name.frame}.txt").is_file():
+            calibration = frame_calibration(calib, name.frame, guess_path)
+            check_size(confidence.shape, guess_path, calibration)
+        if confidence.shape != truth.evaluated.shape:
+            (height, width), (high, wide) = confidence.shape, truth.evaluated.shape
             raise DecodeError(
-                f"{truth_path}: expected evaluated pixels in the bird's-eye view, found none"
+                f"{guess_path}: expected its ground truth's {wide}x{high} pixels, "
+                f"found {width}x{height}"
             )
-    elif calib is not None and (calib / f"{name.frame}.txt").is_file():
-        check_size(confidence.shape, guess_path, frame_calibration(calib, name.frame, guess_path))
-    if confidence.shape != truth.evaluated.shape:
-        (height, width), (high, wide) = confidence.shape, truth.evaluated.shape
-        raise DecodeError(
-            f"{guess_path}: expected its ground truth's {wide}x{high} pixels, "
-            f"found {width}x{height}"
-        )
-    return confidence, truth
+        return confidence, truth
+
+
+def _truth_in_bev(truth: GroundTruth, path: Path, calib: Path | None, frame: str) -> GroundTruth:
+    truth = GroundTruth(
+        positive=bring_to_bev(truth.positive, path, calib, frame),
+        evaluated=bring_to_bev(truth.evaluated, path, calib, frame),
+    )
+    if not truth.evaluated.any():
+        raise DecodeError(f"{path}: expected evaluated pixels in the bird's-eye view, found none")
+    return truth

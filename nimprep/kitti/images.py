@@ -10,10 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError
-from nimprep.images import read_array, read_header, read_label
+from nimprep.images import read_array, read_array_header, read_header, read_label
 
 _PNG_LEVEL = 2
 """zlib's level for PNGs written here: levels 3 to 6 take up to twice as long for 3 to 12 % less."""
+
+_ROUNDING = 1e-6
+"""So far outside [0, 1] a probability may lie."""
 
 
 @dataclass(frozen=True)
@@ -32,39 +35,92 @@ class GroundTruth:
     evaluated: npt.NDArray[np.bool_]
 
 
-def read_confidence(path: Path) -> npt.NDArray[np.uint8]:
+def read_confidence(path: Path, *, mask: bool = False) -> npt.NDArray[np.uint8]:
     """Return a confidence map, (H, W) uint8, 0 = surely not road.
 
-    PNG: one channel of 8 bits. NumPy: floating probabilities, (H, W) in [0, 1], which become the
-    nearest of 0/255 to 255/255.
+    PNG: one channel of 8 or 16 bits, the highest number being surely road; 16 bits become the
+    nearest of 8. NumPy: floating probabilities, (H, W) in [0, 1], which become the nearest of
+    0/255 to 255/255.
+
+    Parameters
+    ----------
+    mask : bool
+        A PNG's 1 means surely road, as in a mask of 0 and 1.
 
     Raises
     ------
     DecodeError
         It has colour, another depth, NaN or values outside [0, 1], or is damaged.
     """
-    header = read_header(path)
-    if path.suffix == ".npy":
+    if path.suffix.lower() == ".npy":
         return _confidence_from_probability(path)
-    if header.bits != 8 or header.kind != "grey":
+    image = read_grey(path)
+    if image is None:
+        header = read_header(path)
         raise DecodeError(
-            f"{path}: expected a confidence map, 8-bit grey, "
+            f"{path}: expected a confidence map, 8-bit or 16-bit grey, "
             f"found {header.bits}-bit {header.kind}; write one channel of 0-255"
         )
-    return read_label(path)
+    if mask:
+        return np.where(image > 0, np.uint8(255), np.uint8(0))
+    if image.dtype != np.uint16:
+        return image.astype(np.uint8, copy=False)
+    highest = int(image.max())
+    if 1 < highest <= 255:
+        raise DecodeError(
+            f"{path}: expected 16-bit confidences up to 65535, found at most {highest}, as 8 bits "
+            "hold; write them as 8-bit grey"
+        )
+    return ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
+
+
+def read_grey(path: Path) -> npt.NDArray[Any] | None:
+    """Return a grey image's numbers, (H, W), uint8 or uint16; None where it is of another kind.
+
+    Images of 1 bit are 0 and 255.
+
+    Raises
+    ------
+    DecodeError
+        It is damaged.
+    """
+    header = read_header(path)
+    if header.kind != "grey" or header.bits not in (1, 8, 16):
+        return None
+    image = read_label(path)
+    return image * np.uint8(255) if header.bits == 1 else image
 
 
 def _confidence_from_probability(path: Path) -> npt.NDArray[np.uint8]:
+    reason = reason_against_array(path)
+    if reason:
+        raise DecodeError(f"{path}: {reason}")
     array = read_array(path)
-    if array.ndim != 2 or array.size == 0 or not np.issubdtype(array.dtype, np.floating):
-        raise DecodeError(
-            f"{path}: expected probabilities as a floating (H, W) array, "
-            f"found {array.dtype} {array.shape}"
-        )
     low, high = float(array.min()), float(array.max())
-    if not (low >= 0 and high <= 1):
-        raise DecodeError(f"{path}: expected probabilities in [0, 1], found {low:g} to {high:g}")
+    # A softmax in float32 may pass 1 by its rounding.
+    if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
+        raise DecodeError(
+            f"{path}: expected probabilities in [0, 1], found {low:g} to {high:g}; "
+            "put logits through a sigmoid or softmax first"
+        )
     return np.rint(array.astype(np.float64) * 255).astype(np.uint8)
+
+
+def reason_against_array(path: Path) -> str:
+    """Return why a .npy file is no map of probabilities, from its header; empty = it may be one.
+
+    Raises
+    ------
+    DecodeError
+        It is no such file.
+    """
+    header = read_array_header(path)
+    plane = len(header.shape) == 2 and 0 not in header.shape
+    if plane and np.issubdtype(header.dtype, np.floating):
+        return ""
+    found = f"{header.shape} of {header.dtype}"
+    advice = "write one plane, that of the road" if not plane else "write them as float32, 0 to 1"
+    return f"expected probabilities as a floating (H, W) array, found {found}; {advice}"
 
 
 def read_ground_truth(path: Path) -> GroundTruth:

@@ -26,8 +26,11 @@ TARGETS: dict[str, tuple[str, ...]] = {"road": CATEGORIES, "lane": ("um",)}
 
 GRAMMAR = "<um|umm|uu>_<road|lane>_<six digits> (lane: um only)"
 
+FRAME_GRAMMAR = "<um|umm|uu>_<six digits>"
+
 _NAME = re.compile(r"(um|umm|uu)_(road|lane)_([0-9]{6})")
 _FRAME = re.compile(r"(um|umm|uu)_([0-9]{6})")
+_NEARLY = re.compile(r"(umm?|uu)_?(?:(road|lane)_?)?([0-9]{1,6})", re.IGNORECASE)
 
 
 @dataclass(frozen=True, order=True)
@@ -69,18 +72,40 @@ class PredictionName:
         return f"{self.stem}.png"
 
 
-def prediction_name(path: Path | str) -> PredictionName:
+def prediction_name(path: Path | str, target: Target | None = None) -> PredictionName:
     """Parse a prediction's or a ground truth's file name.
+
+    Parameters
+    ----------
+    target : {"road", "lane"}, optional
+        What a frame's own name (``um_000000``) predicts; without, it is no name.
 
     Raises
     ------
     LayoutError
         The name does not follow the benchmark's grammar.
     """
-    match = _NAME.fullmatch(Path(path).stem)
-    if match is None or match[1] not in TARGETS[match[2]]:
-        raise LayoutError(f"{path}: expected a name {GRAMMAR}.png, found {Path(path).name!r}")
-    return PredictionName(match[1], match[2], match[3])
+    path = Path(path)
+    match, frame = _NAME.fullmatch(path.stem), _FRAME.fullmatch(path.stem)
+    if match is not None and match[1] in TARGETS[match[2]]:
+        return PredictionName(match[1], match[2], match[3])
+    if target is not None and frame is not None and frame[1] in TARGETS[target]:
+        return PredictionName(frame[1], target, frame[2])
+    grammar = GRAMMAR if target is None else f"{GRAMMAR} or {FRAME_GRAMMAR}"
+    nearest = nearest_name(path, target or "road")
+    advice = f"; {nearest} may be meant" if nearest else "; rename it or take it away"
+    raise LayoutError(f"{path}: expected a name {grammar}, found {path.name!r}{advice}")
+
+
+def nearest_name(path: Path, target: Target) -> str:
+    """Return the benchmark's name that a wrong one comes near to, with its ending; else ""."""
+    match = _NEARLY.fullmatch(path.stem)
+    if match is None:
+        return ""
+    category, kind = match[1].lower(), (match[2] or target).lower()
+    if category not in TARGETS[kind]:
+        return ""
+    return PredictionName(category, kind, f"{int(match[3]):06d}").stem + path.suffix.lower()
 
 
 def frame_category(name: str) -> str | None:
@@ -96,35 +121,26 @@ def official_names(target: Target) -> Iterator[PredictionName]:
             yield PredictionName(category, target, f"{number:06d}")
 
 
-PREDICTION_SUFFIXES = (".png", ".npy")
-"""8-bit confidences, and floating probabilities."""
-
-
-def predictions_by_name(
-    folder: Path, suffixes: tuple[str, ...] = (".png",)
-) -> dict[PredictionName, Path]:
-    """Return a folder's predictions or ground truths, sorted by name.
+def truths_by_name(folder: Path) -> dict[PredictionName, Path]:
+    """Return a folder's ground truths (.png), sorted by name.
 
     Hidden files, sub-folders and files with other endings are left alone.
 
     Raises
     ------
     LayoutError
-        The folder is missing or holds none, a name breaks the grammar, or two files have one name.
+        The folder is missing or holds none, or a name breaks the grammar.
     """
     if not folder.is_dir():
-        raise LayoutError(f"{folder}: expected a folder of {GRAMMAR}.png, found none")
-    found: dict[PredictionName, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.suffix not in suffixes or not path.is_file():
-            continue
-        name = prediction_name(path)
-        if name in found:
-            raise LayoutError(
-                f"{path}: expected one file per prediction, found {found[name].name} too"
-            )
-        found[name] = path
+        raise LayoutError(
+            f"{folder}: expected a folder of {GRAMMAR}.png, found none; give gt_image_2"
+        )
+    found = {prediction_name(path): path for path in plain_files(folder) if path.suffix == ".png"}
     if not found:
-        endings = " or ".join(suffixes)
-        raise LayoutError(f"{folder}: expected files {GRAMMAR} with {endings}, found none")
+        raise LayoutError(f"{folder}: expected files {GRAMMAR}.png, found none; give gt_image_2")
     return dict(sorted(found.items()))
+
+
+def plain_files(folder: Path) -> list[Path]:
+    """Return the files right in a folder that are not hidden, sorted."""
+    return [p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")]

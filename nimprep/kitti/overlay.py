@@ -14,9 +14,10 @@ from nimprep.files import check_file, write_whole
 from nimprep.folders import refuse_inside
 from nimprep.images import read_rgb
 from nimprep.kitti.bev import bring_to_bev
-from nimprep.kitti.evaluation import View, listed, read_pair
+from nimprep.kitti.confidences import find_confidences, listed
+from nimprep.kitti.evaluation import Pairs, View
 from nimprep.kitti.images import GroundTruth, png_bytes
-from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
+from nimprep.kitti.names import PredictionName, Target, truths_by_name
 from nimprep.parallel import Progress, map_frames
 
 TRUE_POSITIVE = (0, 255, 0)
@@ -31,19 +32,22 @@ class OverlayFolders:
     Attributes
     ----------
     predictions : Path
-        Confidence maps, ``um_road_000000.png`` or .npy.
+        Confidence maps, ``um_road_000000`` or ``um_000000``, .png or .npy.
     ground_truth : Path
         The benchmark's ``gt_image_2``.
     images : Path
         Its ``image_2``: ``um_000000.png``.
     calib : Path, optional
         Calibrations; needed for the bird's-eye view.
+    target : {"road", "lane"}
+        What predictions named by frame id predict.
     """
 
     predictions: Path
     ground_truth: Path
     images: Path
     calib: Path | None = None
+    target: Target = "road"
 
     @property
     def all(self) -> list[Path]:
@@ -163,38 +167,38 @@ def write_overlays(
     """
     out = Path(out)
     refuse_inside(out, *folders.all)
-    guesses = predictions_by_name(folders.predictions, PREDICTION_SUFFIXES)
-    truths = predictions_by_name(folders.ground_truth)
-    lacking = [name.png for name in guesses if name not in truths]
+    guesses = find_confidences(folders.predictions, "training", folders.target)
+    truths = truths_by_name(folders.ground_truth)
+    lacking = [name.png for name in guesses.files if name not in truths]
     if lacking:
         raise LayoutError(
             f"{folders.ground_truth}: expected a ground truth for each prediction, "
             f"found none for {listed(lacking)}"
         )
-    items = [(name, guesses[name], truths[name]) for name in guesses]
-    for name in guesses:
+    for name in guesses.files:
         check_file(out / name.png, *folders.all, overwrite=overwrite)
+    pairs = Pairs(guesses, truths, folders.calib, view)
 
-    def draw(item: tuple[PredictionName, Path, Path]) -> Path:
-        written = out / item[0].png
-        image = png_bytes(_drawn(item, folders, view, threshold))
+    def draw(name: PredictionName) -> Path:
+        written = out / name.png
+        image = png_bytes(_drawn(name, pairs, folders.images, threshold))
         write_whole(written, image, *folders.all, overwrite=overwrite)
         return written
 
-    return tuple(map_frames("overlay", draw, items, progress))
+    return tuple(map_frames("overlay", draw, list(guesses.files), progress))
 
 
 def _drawn(
-    item: tuple[PredictionName, Path, Path], folders: OverlayFolders, view: View, threshold: float
+    name: PredictionName, pairs: Pairs, images: Path, threshold: float
 ) -> npt.NDArray[np.uint8]:
-    name, guess_path, truth_path = item
-    confidence, truth = read_pair(guess_path, truth_path, name, folders.calib, view)
-    image_path = folders.images / f"{name.frame}.png"
+    guess_path = pairs.guesses.files[name]
+    confidence, truth = pairs.read(name)
+    image_path = images / f"{name.frame}.png"
     if not image_path.is_file():
         raise LayoutError(f"{image_path}: expected the image of {guess_path.name}, found none")
     image = read_rgb(image_path)
-    if view == "bev":
-        image = bring_to_bev(image, image_path, folders.calib, name.frame)
+    if pairs.view == "bev":
+        image = bring_to_bev(image, image_path, pairs.calib, name.frame)
     if image.shape[:2] != confidence.shape:
         (height, width), (high, wide) = image.shape[:2], confidence.shape
         raise DecodeError(

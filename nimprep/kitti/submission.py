@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import partial as bind
 from pathlib import Path
@@ -15,12 +16,12 @@ from nimprep.images import read_header
 from nimprep.kitti.archive import ZipWhole
 from nimprep.kitti.bev import BEV_SHAPE, bring_to_bev, frame_calibration, is_bev
 from nimprep.kitti.calibration import frame_shape
-from nimprep.kitti.evaluation import listed
-from nimprep.kitti.images import png_bytes, read_confidence
+from nimprep.kitti.confidences import SUFFIXES, Confidences, confidence_files, listed
+from nimprep.kitti.images import png_bytes, reason_against_array
 from nimprep.kitti.names import (
-    PREDICTION_SUFFIXES,
     PredictionName,
     Target,
+    nearest_name,
     official_names,
     prediction_name,
 )
@@ -93,8 +94,9 @@ def pack_submission(
     Parameters
     ----------
     predictions : folder
-        ``<cat>_<type>_<number>``, as .png (8-bit confidences) or .npy (floating probabilities in
-        [0, 1]), in perspective or in the bird's-eye view (400x800).
+        ``<cat>_<type>_<number>`` or the frame's id (``um_000000``, ``testing/um_000000``), as .png
+        (confidences of 8 or 16 bits; where all are 0 and 1, masks) or .npy (floating probabilities
+        in [0, 1]), in perspective or in the bird's-eye view (400x800).
     out : path of the zip
     calib : folder, optional
         The test set's calibrations; needed for predictions in perspective. Sizes are checked
@@ -124,10 +126,11 @@ def pack_submission(
     check_file(out, *sources, overwrite=overwrite)
     inventory = _take_inventory(predictions, calib, target, partial)
     _refuse_problems(inventory, predictions, target, partial)
-    render = bind(_render_entry, calib=calib)
+    confidences = Confidences(dict(sorted(inventory.files.items())))
+    render = bind(_render_entry, confidences=confidences, calib=calib)
     entries: list[_Entry] = []
     with ZipWhole(out, *sources, overwrite=overwrite) as archive:
-        for entry in map_frames("pack", render, sorted(inventory.files.items()), progress):
+        for entry in map_frames("pack", render, list(confidences.files), progress):
             archive.add(entry.name.png, entry.data)
             entries.append(replace(entry, data=b""))
     _warn_of_poor_maps(predictions, entries)
@@ -138,6 +141,8 @@ def _refuse_problems(
     inventory: _Inventory, predictions: Path, target: Target, partial: bool
 ) -> None:
     problems = inventory.problems()
+    if not problems and not inventory.files:
+        problems = "none; name them by frame id (um_000000) or as the benchmark does"
     if problems:
         expected = "only" if partial else f"all {len(list(official_names(target)))}"
         raise LayoutError(
@@ -158,38 +163,48 @@ def _warn_of_poor_maps(predictions: Path, entries: list[_Entry]) -> None:
 
 
 def _take_inventory(folder: Path, calib: Path | None, target: Target, partial: bool) -> _Inventory:
-    if not folder.is_dir():
-        raise LayoutError(f"{folder}: expected a folder of predictions, found none")
     wanted = list(official_names(target))
     inventory = _Inventory()
     official = set(wanted)
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.is_dir():
-            continue
+    for path in confidence_files(folder, "testing"):
+        shown = path.relative_to(folder).as_posix()
+        shown = shown if shown.isprintable() else ascii(shown)
         try:
-            name = prediction_name(path)
+            name = prediction_name(path, target)
         except LayoutError:
             name = None
-        if name not in official or path.suffix not in PREDICTION_SUFFIXES or name is None:
-            inventory.extra.append(path.name if path.name.isprintable() else ascii(path.name))
+        if name not in official or path.suffix.lower() not in SUFFIXES or name is None:
+            inventory.extra.append(shown + _hint(path, name, target, official))
         elif name in inventory.files:
-            inventory.wrong.append(f"{path.name} (beside {inventory.files[name].name})")
+            inventory.wrong.append(f"{shown} (beside {inventory.files[name].name})")
         else:
             inventory.files[name] = path
             reason = _reason_against(path, name, calib)
             if reason:
-                inventory.wrong.append(f"{path.name} ({reason})")
-    if not partial or not inventory.files:
+                inventory.wrong.append(f"{shown} ({reason})")
+    if not partial:
         inventory.missing = [name.png for name in wanted if name not in inventory.files]
     return inventory
+
+
+def _hint(
+    path: Path, name: PredictionName | None, target: Target, official: Collection[PredictionName]
+) -> str:
+    """Return what a file that is no prediction may have been meant to be; "" = nothing known."""
+    if name in official:
+        return f" (expected {' or '.join(SUFFIXES)})"
+    nearest = nearest_name(path, target) if name is None else ""
+    return f" ({nearest}?)" if nearest else ""
 
 
 def _reason_against(path: Path, name: PredictionName, calib: Path | None) -> str:
     """Return why a prediction cannot be packed, from headers alone; empty = nothing speaks so."""
     try:
+        if path.suffix.lower() == ".npy" and (reason := reason_against_array(path)):
+            return reason
         header = read_header(path)
-        if path.suffix == ".png" and (header.bits, header.kind) != (8, "grey"):
-            return f"expected 8-bit grey, found {header.bits}-bit {header.kind}"
+        if header.kind not in ("grey", "array") or header.bits not in (1, 8, 16, 32, 64):
+            return f"expected 8-bit or 16-bit grey, found {header.bits}-bit {header.kind}"
         if is_bev((header.height, header.width)):
             return ""
         calibration = frame_calibration(calib, name.frame, path)
@@ -209,9 +224,8 @@ def _reason_against(path: Path, name: PredictionName, calib: Path | None) -> str
     return ""
 
 
-def _render_entry(item: tuple[PredictionName, Path], calib: Path | None) -> _Entry:
-    name, path = item
-    confidence = read_confidence(path)
-    view = bring_to_bev(confidence, path, calib, name.frame)
+def _render_entry(name: PredictionName, confidences: Confidences, calib: Path | None) -> _Entry:
+    confidence = confidences.read(name)
+    view = bring_to_bev(confidence, confidences.files[name], calib, name.frame)
     values = np.count_nonzero(np.bincount(confidence.reshape(-1), minlength=256))
     return _Entry(name, png_bytes(view), view is not confidence, int(values))

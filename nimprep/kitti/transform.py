@@ -12,8 +12,9 @@ from nimprep.files import check_file, write_whole
 from nimprep.folders import refuse_inside
 from nimprep.images import read_header, read_label
 from nimprep.kitti.bev import bring_to_bev
-from nimprep.kitti.images import png_bytes, read_confidence
-from nimprep.kitti.names import PREDICTION_SUFFIXES, PredictionName, predictions_by_name
+from nimprep.kitti.confidences import Confidences, find_confidences
+from nimprep.kitti.images import png_bytes
+from nimprep.kitti.names import PredictionName, Target
 from nimprep.parallel import Progress, map_frames
 
 
@@ -23,20 +24,23 @@ def transform_folder(
     calib: Path | str | None,
     progress: Progress | None = None,
     *,
+    target: Target = "road",
     overwrite: bool = False,
 ) -> tuple[Path, ...]:
-    """Write each image of a folder as bird's-eye view, under its own name.
+    """Write each image of a folder as bird's-eye view, under the benchmark's name.
 
     Parameters
     ----------
     predictions : folder
-        ``<cat>_<type>_<number>``: 8-bit confidences (.png), probabilities (.npy), or ground truths
-        in the benchmark's own colours (red = evaluated, blue = road, no green). Images of 400x800
-        are there already.
+        ``<cat>_<type>_<number>`` or the frame's id: confidences of 8 or 16 bits (.png; where all
+        are 0 and 1, masks), probabilities (.npy), or ground truths in the benchmark's own colours
+        (red = evaluated, blue = road, no green). Images of 400x800 are there already.
     out : folder
         Made as needed.
     calib : folder
         Calibrations, ``um_000000.txt``.
+    target : {"road", "lane"}
+        What images named by frame id show.
     overwrite : bool
         Replace images that are there already; without, they are an error.
 
@@ -57,24 +61,24 @@ def transform_folder(
     calib = None if calib is None else Path(calib)
     sources = (predictions, *([calib] if calib else []))
     refuse_inside(out, *sources)
-    files = list(predictions_by_name(predictions, PREDICTION_SUFFIXES).items())
-    for name, _ in files:
+    found = find_confidences(predictions, target=target)
+    for name in found.files:
         check_file(out / name.png, *sources, overwrite=overwrite)
 
-    def transform(item: tuple[PredictionName, Path]) -> Path:
-        name, path = item
+    def transform(name: PredictionName) -> Path:
         written = out / name.png
-        image = png_bytes(_transformed(name, path, calib))
+        image = png_bytes(_transformed(name, found, calib))
         write_whole(written, image, *sources, overwrite=overwrite)
         return written
 
-    return tuple(map_frames("bev", transform, files, progress))
+    return tuple(map_frames("bev", transform, list(found.files), progress))
 
 
-def _transformed(name: PredictionName, path: Path, calib: Path | None) -> npt.NDArray[Any]:
+def _transformed(name: PredictionName, found: Confidences, calib: Path | None) -> npt.NDArray[Any]:
+    path = found.files[name]
     image = _ground_truth_colours(path)
     if image is None:
-        image = read_confidence(path)
+        image = found.read(name)
     return bring_to_bev(image, path, calib, name.frame)
 
 

@@ -132,7 +132,8 @@ def test_folders_of_predictions_and_truths_become_the_official_images(
 def test_a_photograph_is_no_prediction(tmp_path: Path) -> None:
     write_calibration(tmp_path / "calib" / "um_000000.txt")
     write_png(tmp_path / "in" / "um_road_000000.png", noise(0, HEIGHT, WIDTH, 3))
-    with pytest.raises(DecodeError, match="expected a confidence map, 8-bit grey, found 8-bit RGB"):
+    expected = "expected a confidence map, 8-bit or 16-bit grey, found 8-bit RGB"
+    with pytest.raises(DecodeError, match=expected):
         transform_folder(tmp_path / "in", tmp_path / "out", tmp_path / "calib")
 
 

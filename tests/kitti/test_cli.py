@@ -141,8 +141,11 @@ def _no_folder(road: Path, tmp_path: Path) -> tuple[object, ...]:
         (_nan, "um_000000.txt: expected finite numbers for Tr_cam_to_road"),
         (_wrong_size, "um_road_000000.png: expected 120x60 pixels"),
         (_truncated_scan, "um_000000.bin: expected whole points"),
-        (_colour, "um_road_000000.png: expected a confidence map, 8-bit grey, found 8-bit RGB"),
-        (_sixteen_bit, "found 16-bit grey"),
+        (
+            _colour,
+            "um_road_000000.png: expected a confidence map, 8-bit or 16-bit grey, found 8-bit RGB",
+        ),
+        (_sixteen_bit, "expected 16-bit confidences up to 65535, found at most 255"),
         (_nothing_evaluated, "um_road_000000.png: expected evaluated pixels"),
         (
             _zip_exists,

@@ -115,8 +115,11 @@ def test_predictions_of_another_type_than_the_truths_are_refused(tmp_path: Path)
 
 
 BAD_PREDICTIONS = {
-    "colour": (noise(0, HEIGHT, WIDTH, 3), "8-bit grey, found 8-bit RGB"),
-    "16 bit": (noise(0, HEIGHT, WIDTH).astype(np.uint16), "8-bit grey, found 16-bit grey"),
+    "colour": (noise(0, HEIGHT, WIDTH, 3), "8-bit or 16-bit grey, found 8-bit RGB"),
+    "16 bit": (
+        noise(0, HEIGHT, WIDTH).astype(np.uint16),
+        "16-bit confidences up to 65535, found at most 255",
+    ),
     "another size": (noise(0, HEIGHT, WIDTH - 1), "its ground truth's 120x60"),
 }
 
@@ -156,7 +159,7 @@ def test_a_category_without_road_has_no_scores(tmp_path: Path) -> None:
 
 def test_a_name_outside_the_benchmarks_grammar_is_refused(tmp_path: Path) -> None:
     predictions, truths = _folders(tmp_path, ("um_road_000000",))
-    for name in ("um_000000", "uu_lane_000000", "um_road_0", "UM_road_000000"):
+    for name in ("um_0000", "uu_lane_000000", "um_road_0", "UM_road_000000"):
         write_png(predictions / f"{name}.png", noise(0, HEIGHT, WIDTH))
         with pytest.raises(LayoutError, match=rf"expected a name .*found '{name}\.png'"):
             evaluate_predictions(predictions, truths, view="perspective")
