@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,13 @@ a store's uint16 holds them for depth from 0.2 m on (see `nimprep.modality`).
 
 MAX_PIXELS = 1 << 26
 """Images of more pixels are refused before anything is allocated for them (67 megapixels)."""
+
+
+ByteImage = Literal["rgb", "hha", "label"]
+"""Modalities whose images are uint8."""
+
+FloatImage = Literal["depth", "normal", "disparity", "transformed_disparity", "elevation"]
+"""Those whose images are float32."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +122,38 @@ class Frame:
                 object.__setattr__(self, "depth_m", checked_depth(self.depth_m, self.camera))
         except ArrayError as error:
             raise ArrayError(f"frame {self.id!r}: {error}") from error
+
+    @overload
+    def __getitem__(self, name: ByteImage) -> npt.NDArray[np.uint8]: ...
+    @overload
+    def __getitem__(self, name: FloatImage) -> npt.NDArray[np.float32]: ...
+    @overload
+    def __getitem__(self, name: str) -> npt.NDArray[Any]: ...
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        """Return the image of a modality by its name ("depth" is `depth_m`): it must be there.
+
+        Where the attributes may be None, this is an array for type checkers too.
+
+        Raises
+        ------
+        ArrayError
+            The frame has none, or there is no such modality.
+        """
+        found = self.image(name)
+        if found is None:
+            raise ArrayError(
+                f"frame {self.id!r}: expected {name}, found {', '.join(self) or 'no image'}; "
+                "ask for one of those"
+            )
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether the frame has an image of this modality."""
+        return name in tuple(self)
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the modalities of which the frame has an image."""
+        return (name for name in modality.MODALITIES if self.image(name) is not None)
 
     def image(self, name: str) -> npt.NDArray[Any] | None:
         """Return the image of a modality by its name, an attribute or one of `others`.

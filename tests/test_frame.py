@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from nimprep import Camera, Frame
 from nimprep.errors import ArrayError
+from nimprep.frame import ByteImage, FloatImage
 from nimprep.modality import MODALITIES
 
 CAMERA = Camera(fx=10, fy=10, cx=1, cy=1, width=3, height=2)
@@ -51,3 +53,22 @@ def test_what_is_masked_is_none_and_colours_cannot_be(name: str) -> None:
     expected = image.copy()
     expected[MASK] = record.absent
     assert np.array_equal(found, expected, equal_nan=expected.dtype.kind == "f")
+
+
+def test_an_image_that_must_be_there_is_asked_for_by_its_modality() -> None:
+    frame = Frame("a", CAMERA, depth_m=np.ones((2, 3), np.float32), others={"distance": MASK})
+    assert frame["depth"] is frame.depth_m
+    assert list(frame) == ["depth"]
+    assert "depth" in frame
+    assert "rgb" not in frame
+    with pytest.raises(ArrayError, match=r"^frame 'a': expected rgb, found depth; ask for one"):
+        frame["rgb"]
+    with pytest.raises(ArrayError, match="found 'depth_m'"):
+        frame["depth_m"]
+
+
+def test_what_checkers_are_told_of_an_images_type_is_so() -> None:
+    kinds = {np.uint8: get_args(ByteImage), np.float32: get_args(FloatImage)}
+    assert sorted((*kinds[np.uint8], *kinds[np.float32])) == sorted(MODALITIES)
+    for kind, names in kinds.items():
+        assert {MODALITIES[name].blank((2, 3)).dtype for name in names} == {np.dtype(kind)}

@@ -43,7 +43,7 @@ NETWORKS: dict[str, _Entry] = {
 
 def build_network(
     name: str,
-    inputs: int | tuple[int, int],
+    inputs: int | tuple[int, ...],
     classes: int,
     width: float = 1.0,
     weights: Path | str | None = None,
@@ -55,8 +55,9 @@ def build_network(
     ----------
     name : str
         A name in `NETWORKS`.
-    inputs : int or (int, int)
-        Channels of the image; a pair, of both images, for a network that fuses.
+    inputs : int or tuple of int
+        Channels of the image; a pair, of both images, for a network that fuses. What a data set's
+        `selection.channels` says is taken as it is.
     classes : int
         Channels of the logits.
     width : float
@@ -82,12 +83,13 @@ def build_network(
     if name not in NETWORKS:
         raise ArrayError(f"name: expected one of {', '.join(NETWORKS)}, found {name!r}")
     entry = NETWORKS[name]
-    _check(name, entry, inputs, classes, width, stages)
+    channels = inputs if isinstance(inputs, tuple) else (inputs,)
+    _check(name, entry, channels, classes, width, stages)
     make: Callable[..., Network] = getattr(
         importlib.import_module(f"nimprep.networks.{entry.module}"), entry.name
     )
     options = {**dict(entry.options), **({"stages": stages} if name == "fusenet" else {})}
-    network = make(inputs, classes, width, **options)
+    network = make(channels if entry.fusion else channels[0], classes, width, **options)
     if weights is not None:
         from nimprep.networks.weights import load_weights
 
@@ -96,12 +98,16 @@ def build_network(
 
 
 def _check(
-    name: str, entry: _Entry, inputs: object, classes: object, width: object, stages: object
+    name: str,
+    entry: _Entry,
+    channels: tuple[object, ...],
+    classes: object,
+    width: object,
+    stages: object,
 ) -> None:
-    channels = inputs if isinstance(inputs, tuple) else (inputs,)
     if len(channels) != 1 + entry.fusion or not all(_positive(n) for n in channels):
         kind = "a pair of channel counts" if entry.fusion else "a number of channels"
-        raise ArrayError(f"inputs: expected {kind} for {name}, found {inputs!r}")
+        raise ArrayError(f"inputs: expected {kind} for {name}, found {channels!r}")
     if not _positive(classes):
         raise ArrayError(f"classes: expected a positive number, found {classes!r}")
     if not isinstance(width, (int, float)) or not 0 < width <= 1:

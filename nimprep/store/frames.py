@@ -144,6 +144,10 @@ class StoredFrame(Frame):
     elevation = _of_store("elevation")
     label = _of_store("label")
 
+    def __iter__(self) -> Iterator[str]:
+        """Yield the modalities that the store has, as far as they are read."""
+        return iter(self.others)
+
     @classmethod
     def fetch(
         cls, index: int, arrays: dict[str, ImageArray], camera: Camera, **fields: Any

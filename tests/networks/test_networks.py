@@ -199,3 +199,10 @@ def test_a_saved_network_is_restored_whole(tmp_path: Path) -> None:
 def test_width_makes_networks_small() -> None:
     for name in NETWORKS:
         assert count_parameters(made(name)) < 6e6, name
+
+
+def test_channels_are_taken_as_a_data_set_says_them() -> None:
+    assert build_network("unet", (6,), 2, width=WIDTH).inputs == 6
+    assert build_network("rtfnet18", (3, 1), 2, width=WIDTH).inputs == (3, 1)
+    with pytest.raises(ArrayError, match=r"inputs: expected a number of channels .* \(3, 3\)"):
+        build_network("unet", (3, 3), 2)
