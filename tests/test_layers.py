@@ -19,6 +19,7 @@ LAYERS = [
     ["schema"],
     ["images", "splits", "metrics"],
     ["derive"],
+    ["doubts"],
     ["kitti"],
     ["readers"],
     ["store"],

@@ -1,0 +1,129 @@
+"""Signs in depth as metres, and in the camera it is said to be of."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from nimprep.camera import Camera
+from nimprep.derive.elevation import find_road_plane
+
+LEAST_FOCAL_PX = 5.0
+"""A shorter focal length is no number of pixels, but a share of the image's size."""
+
+_ROWS = 128
+_SAMPLED = 10_000
+_PLANE_PIXELS = 2048
+_LEAST_PIXELS = 100
+
+_UPRIGHT = 0.7
+"""The least that a road's normal points up in the image: what is steeper to the view is a wall."""
+
+
+def depth_signs(
+    depth_m: npt.NDArray[np.float32], camera: Camera, most_m: float
+) -> dict[str, float]:
+    """Measure what tells that depth is not what it is taken for, on a sample of its pixels.
+
+    Parameters
+    ----------
+    depth_m : (H, W) float32, metres
+        Checked; 0 = none.
+    camera : Camera
+        Of the image's size.
+    most_m : float
+        The farthest depth that can be kept, metres.
+
+    Returns
+    -------
+    dict
+        ``with_neighbours``: the share of the pixels with depth that have it beside them on each
+        axis, too; ``beyond_range``: the share of them beyond `most_m`; ``row_correlation``: of
+        depth with the row in the lower half of the image; ``camera_height_m``: the camera's over
+        the road's plane, where one is found. What cannot be measured is left out.
+    """
+    signs = {
+        "with_neighbours": _share_with_neighbours(depth_m),
+        "beyond_range": _share_beyond(depth_m, most_m),
+        "row_correlation": _row_correlation(depth_m),
+        "camera_height_m": _camera_height(depth_m, camera),
+    }
+    return {name: value for name, value in signs.items() if value is not None}
+
+
+def camera_signs(camera: Camera) -> dict[str, float]:
+    """Measure what tells that a camera is not that of its image.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the whole image: cropping may well leave a principal point outside.
+
+    Returns
+    -------
+    dict
+        ``focal_px``: the shorter focal length; ``view_deg``: the field of view along the image's
+        longer side; ``cx_share``, ``cy_share``: where the principal point is, 0 and 1 the edges.
+    """
+    across, focal = max((camera.width, camera.fx), (camera.height, camera.fy))
+    return {
+        "focal_px": min(camera.fx, camera.fy),
+        "view_deg": 2 * math.degrees(math.atan(across / 2 / focal)),
+        "cx_share": (camera.cx + 0.5) / camera.width,
+        "cy_share": (camera.cy + 0.5) / camera.height,
+    }
+
+
+def _share_with_neighbours(depth_m: npt.NDArray[np.float32]) -> float | None:
+    height, width = depth_m.shape
+    if min(height, width) < 3:
+        return None
+    rows = np.unique(np.linspace(1, height - 2, _ROWS).astype(np.intp))
+    here, above, below = (depth_m[rows + step] > 0 for step in (0, -1, 1))
+    inner = here[:, 1:-1]
+    number = np.count_nonzero(inner)
+    if number < _LEAST_PIXELS:
+        return None
+    both = inner & (here[:, :-2] | here[:, 2:]) & (above | below)[:, 1:-1]
+    return float(np.count_nonzero(both) / number)
+
+
+def _share_beyond(depth_m: npt.NDArray[np.float32], most_m: float) -> float | None:
+    step = max(1, math.isqrt(depth_m.size // _SAMPLED))
+    values = depth_m[step // 2 :: step, step // 2 :: step]
+    number = np.count_nonzero(values)
+    return float(np.count_nonzero(values > most_m) / number) if number >= _LEAST_PIXELS else None
+
+
+def _row_correlation(depth_m: npt.NDArray[np.float32]) -> float | None:
+    lower = depth_m[depth_m.shape[0] // 2 :]
+    step = max(1, math.isqrt(lower.size // _SAMPLED))
+    part = lower[::step, step // 2 :: step]
+    rows, columns = np.nonzero(part)
+    values = part[rows, columns].astype(np.float64)
+    if values.size < _LEAST_PIXELS or rows.min() == rows.max() or values.min() == values.max():
+        return None
+    return float(np.corrcoef(rows, values)[0, 1])
+
+
+def _camera_height(depth_m: npt.NDArray[np.float32], camera: Camera) -> float | None:
+    """Fit the road's plane to a coarser image: some thousand pixels tell its height to 1 %."""
+    if min(camera.fx, camera.fy) < LEAST_FOCAL_PX:
+        return None
+    step = max(1, math.isqrt(depth_m.size // _PLANE_PIXELS))
+    first = step // 2
+    part = np.ascontiguousarray(depth_m[first::step, first::step])
+    coarse = Camera(
+        camera.fx / step,
+        camera.fy / step,
+        (camera.cx - first) / step,
+        (camera.cy - first) / step,
+        part.shape[1],
+        part.shape[0],
+    )
+    if np.count_nonzero(part) < _LEAST_PIXELS:
+        return None
+    plane = find_road_plane(part, coarse)
+    return float(plane[3]) if plane is not None and plane[1] < -_UPRIGHT else None
