@@ -18,10 +18,10 @@ SplitName = Literal["train", "val", "test"]
 SPLIT_CODES: dict[str, int] = {"train": 0, "val": 1, "test": 2, "none": 255}
 """How a store's `split` array writes each split."""
 
-SplitRule = Literal["frame", "group", "stratified"]
+SplitRule = Literal["frame", "group", "stratified", "eighth"]
 
 SPLIT_RULES: tuple[SplitRule, ...] = get_args(SplitRule)
-"""By frame; by whole scenes; by frame within each scene."""
+"""By frame; by whole scenes; by frame within each scene; an eighth of each scene for val."""
 
 SPLITS: dict[str, SplitName] = {"train": "train", "val": "val", "test": "test"}
 
@@ -31,6 +31,13 @@ SPLIT_NAMES: dict[int, str] = {code: name for name, code in SPLIT_CODES.items()}
 def held_out_count(total: int) -> int:
     """Return the size of val, and of test: min(ceil(0.15 N), floor(N / 3))."""
     return min(math.ceil(15 * total / 100), total // 3)
+
+
+def _held_out(total: int, rule: SplitRule) -> tuple[int, int]:
+    """Return the sizes of val and test in so many frames, or so many of a scene."""
+    if rule == "eighth":
+        return min(max((total + 4) // 8, 1), total // 3), 0
+    return held_out_count(total), held_out_count(total)
 
 
 def hash_order(names: Iterable[str], seed: int = 0) -> list[str]:
@@ -43,10 +50,15 @@ def split_by_frame(ids: Sequence[str], seed: int = 0) -> dict[str, SplitName]:
 
     3896 frames give 2726 train, 585 val and 585 test, GMRP's own sizes (Wang et al., IROS 2020).
     """
-    count = held_out_count(len(ids))
+    return _split_frames(ids, seed, "frame")
+
+
+def _split_frames(ids: Sequence[str], seed: int, rule: SplitRule) -> dict[str, SplitName]:
+    val, test = _held_out(len(ids), rule)
     ordered = hash_order(ids, seed)
-    val, test = set(ordered[:count]), set(ordered[count : 2 * count])
-    return {i: "val" if i in val else "test" if i in test else "train" for i in ids}
+    held: dict[str, SplitName] = dict.fromkeys(ordered[:val], "val")
+    held |= dict.fromkeys(ordered[val : val + test], "test")
+    return {i: held.get(i, "train") for i in ids}
 
 
 def split_by_group(groups: Mapping[str, str], seed: int = 0) -> dict[str, SplitName]:
@@ -121,9 +133,11 @@ def assign_splits(
     ----------
     groups : mapping of frame id to scene
         Every frame, in order.
-    rule : {"frame", "group", "stratified"}
-        By frame; by whole scenes; or by frame within each scene, so that each split holds the
-        same share of every scene (KITTI road's categories).
+    rule : {"frame", "group", "stratified", "eighth"}
+        By frame; by whole scenes; by frame within each scene, so that each split holds the same
+        share of every scene; or so with an eighth of each scene, to the nearest frame, for val and
+        none for test (KITTI road's categories: 253 of its 289 frames for train, 36 for val, as is
+        usual in the field; its test frames are fixed).
     seed : int
         Another seed gives another order.
     fixed : mapping of frame id to split, optional
@@ -142,15 +156,20 @@ def assign_splits(
     if rule == "group":
         chosen = split_by_group(free, seed) if free else {}
     else:
-        strata: dict[str, list[str]] = {}
-        for i, group in free.items():
-            strata.setdefault(group if rule == "stratified" else "", []).append(i)
         chosen = {}
-        for members in strata.values():
-            chosen.update(split_by_frame(members, seed))
+        for members in _strata(free, rule):
+            chosen.update(_split_frames(members, seed, rule))
     if "test" in fixed.values():
         chosen = {i: "train" if split == "test" else split for i, split in chosen.items()}
     return {i: fixed.get(i) or chosen[i] for i in groups}
+
+
+def _strata(groups: Mapping[str, str], rule: SplitRule) -> Iterable[list[str]]:
+    """Return the frames that are split by themselves: each scene's, or all."""
+    strata: dict[str, list[str]] = {}
+    for i, group in groups.items():
+        strata.setdefault("" if rule == "frame" else group, []).append(i)
+    return strata.values()
 
 
 def extend_splits(
@@ -163,10 +182,10 @@ def extend_splits(
     """Give frames that join a dataset their split by its rule; the others keep theirs.
 
     By frame, val and test are to have as many of all frames together as the rule gives them: in
-    hash order, new frames go to val until it has, then to test, the rest to train. Stratified, the
-    same holds within each scene. By group, a new frame of a known scene goes where its scene is;
-    new scenes in hash order go to val, then test, as long as each brings it nearer to that number.
-    Where nothing is known this is `assign_splits`.
+    hash order, new frames go to val until it has, then to test, the rest to train. Stratified and
+    by eighths, the same holds within each scene. By group, a new frame of a known scene goes where
+    its scene is; new scenes in hash order go to val, then test, as long as each brings it nearer to
+    that number. Where nothing is known this is `assign_splits`.
 
     Parameters
     ----------
@@ -174,7 +193,7 @@ def extend_splits(
         Every frame, known and new, in order.
     known : mapping of frame id to split
         The frames that have one already.
-    rule : {"frame", "group", "stratified", "file"}
+    rule : {"frame", "group", "stratified", "eighth", "file"}
         "file" = a split file chose; new frames get "none".
     seed : int
         The one the known frames were split with.
@@ -203,20 +222,19 @@ def extend_splits(
     if rule == "group":
         chosen = _extend_scenes(free, known, seed)
     else:
-        strata: dict[str, list[str]] = {}
-        for i, group in free.items():
-            strata.setdefault(group if rule == "stratified" else "", []).append(i)
-        for members in strata.values():
-            chosen.update(_extend_frames(members, known, seed))
+        for members in _strata(free, rule):
+            chosen.update(_extend_frames(members, known, seed, rule))
     if "test" in fixed.values():
         chosen = {i: "train" if split == "test" else split for i, split in chosen.items()}
     return {i: known.get(i) or fixed.get(i) or chosen[i] for i in groups}
 
 
-def _extend_frames(ids: Sequence[str], known: Mapping[str, str], seed: int) -> dict[str, str]:
-    target = held_out_count(len(ids))
+def _extend_frames(
+    ids: Sequence[str], known: Mapping[str, str], seed: int, rule: SplitRule
+) -> dict[str, str]:
     there = Counter(known[i] for i in ids if i in known)
-    val, test = (max(0, target - there[name]) for name in ("val", "test"))
+    targets = zip(_held_out(len(ids), rule), ("val", "test"), strict=True)
+    val, test = (max(0, target - there[name]) for target, name in targets)
     new = hash_order((i for i in ids if i not in known), seed)
     splits = dict.fromkeys(new, "train")
     splits |= dict.fromkeys(new[:val], "val") | dict.fromkeys(new[val : val + test], "test")

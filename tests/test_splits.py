@@ -90,6 +90,38 @@ def test_a_stratified_split_holds_the_same_share_of_every_group() -> None:
     assert all(counts[g, "val"] == counts[g, "test"] == 3 for g in "abc")
 
 
+KITTI = {"um": 95, "umm": 96, "uu": 98}
+"""Training frames of the benchmark, by category."""
+
+
+def test_an_eighth_of_each_of_kittis_categories_is_253_and_36() -> None:
+    groups = {f"training/{c}_{i:06d}": c for c, number in KITTI.items() for i in range(number)}
+    splits = assign_splits(groups, "eighth")
+    assert count_splits(splits.values()) == {"train": 253, "val": 36, "test": 0}
+    for category in KITTI:
+        members = [i for i, group in groups.items() if group == category]
+        val = {i for i in members if splits[i] == "val"}
+        # The twelve whose hashes come first.
+        assert val == set(hash_order(members, 0)[:12])
+
+
+@pytest.mark.parametrize(
+    ("frames", "val"), [(1, 0), (2, 0), (3, 1), (8, 1), (11, 1), (12, 2), (20, 3)]
+)
+def test_an_eighth_is_the_nearest_number_and_one_where_there_are_three(
+    frames: int, val: int
+) -> None:
+    splits = assign_splits({str(i): "um" for i in range(frames)}, "eighth")
+    assert count_splits(splits.values()) == {"train": frames - val, "val": val, "test": 0}
+
+
+def test_frames_that_join_fill_up_the_eighth_of_their_scene() -> None:
+    groups = {f"{c}_{i:06d}": c for c, number in KITTI.items() for i in range(number)}
+    first = {i: c for n, (i, c) in enumerate(groups.items()) if n % 3}
+    splits = extend_splits(groups, assign_splits(first, "eighth"), "eighth")
+    assert count_splits(splits.values()) == {"train": 253, "val": 36, "test": 0}
+
+
 def test_a_split_file_goes_round(tmp_path: Path) -> None:
     splits = split_by_frame(IDS)
     write_split_file(tmp_path / "split.json", splits)
@@ -124,7 +156,7 @@ def test_a_wrong_split_file_is_refused(
 SCENES = {f"{scene}/{i}": scene for scene in ("um", "umm", "uu", "lab") for i in range(11)}
 
 
-@pytest.mark.parametrize("rule", ["frame", "group", "stratified"])
+@pytest.mark.parametrize("rule", ["frame", "group", "stratified", "eighth"])
 @pytest.mark.parametrize("fixed", [{}, {"um/3": "test"}, {"um/3": "train", "uu/1": "val"}])
 def test_joining_an_empty_dataset_is_splitting_it(rule: str, fixed: dict[str, SplitName]) -> None:
     assert extend_splits(SCENES, {}, rule, 4, fixed) == assign_splits(SCENES, rule, 4, fixed)

@@ -22,7 +22,8 @@ from nimprep.splits import SPLIT_RULES, SplitRule
 @click.option(
     "--split-by",
     type=click.Choice(SPLIT_RULES),
-    help="Split anew: frames, whole scenes, or frames within each scene.",
+    help="Split anew: frames, whole scenes, frames within each scene, or an eighth of each scene "
+    "for val and none for test.",
 )
 @click.option("--seed", type=int, help="Split anew with another order.")
 def split(

@@ -57,7 +57,9 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
     normal_dtype: Literal["int8", "int16"] = option("int8")
     codec: Codec = option("fast", "fast to read, or small for archives.")
     split_by: SplitRule | None = option(
-        None, "Split frames, whole scenes, or frames within each scene; default: frame."
+        None,
+        "Split frames, whole scenes, frames within each scene (15 % each for val and test), or an "
+        "eighth of each scene for val and none for test; default: frame, KITTI road: eighth.",
     )
     split_file: Path | str | None = option(None, "Split by this JSON file.")
     seed: int = option(0, "Of the split.")

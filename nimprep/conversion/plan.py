@@ -221,7 +221,8 @@ def fixed_by_split(reader: Reader, ids: Iterable[str]) -> dict[str, list[str]]:
 
 def split_rule(reader: Reader, options: ConvertOptions) -> SplitRule:
     """Return the rule to split by where no file does."""
-    return options.split_by or ("stratified" if fixed_splits(reader, reader.ids) else "frame")
+    default: SplitRule = "stratified" if fixed_splits(reader, reader.ids) else "frame"
+    return options.split_by or reader.info.split_by or default
 
 
 def plan_splits(reader: Reader, options: ConvertOptions, ids: Sequence[str]) -> list[str]:

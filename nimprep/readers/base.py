@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol
 from nimprep.frame import Frame, LabelClass
 from nimprep.images import read_header
 from nimprep.modality import MODALITIES
-from nimprep.splits import SplitName
+from nimprep.splits import SplitName, SplitRule
 
 CalibrationOrigin = Literal["file", "nominal", "user"]
 
@@ -29,12 +29,15 @@ class DatasetInfo:
         Where the cameras came from: the dataset's files, a data sheet, or the user's options.
     notes : tuple of str
         One line each, for the user to read: assumptions that were made.
+    split_by : SplitRule or None
+        The rule that is usual for the dataset; None = no other than the default.
     """
 
     name: str
     classes: tuple[LabelClass, ...]
     calibration: CalibrationOrigin
     notes: tuple[str, ...] = ()
+    split_by: SplitRule | None = None
 
 
 class Reader(Protocol):

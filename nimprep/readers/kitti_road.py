@@ -50,6 +50,9 @@ def _classes(target: Target) -> tuple[LabelClass, ...]:
 class KittiRoadReader(ReaderBase):
     """Read KITTI road frames; ids are ``training/um_000000``, groups the categories.
 
+    An eighth of each category's training frames is for val (of all 289: 253 train, 36 val; in the
+    order of their names the last 36 would all be uu); the testing frames are the test split.
+
     Depth is depth_u16 where it is there, else the LiDAR scan, else stereo, both interpolated
     linearly (`nimprep.kitti.depth`). Labels are 0 not road, 1 road, 255 outside the evaluated area;
     testing frames, whose ground truth the benchmark keeps, are 255 throughout.
@@ -101,7 +104,8 @@ class KittiRoadReader(ReaderBase):
         if not self._files:
             raise LayoutError(f"{self.root}: expected um frames for the target lane, found none")
         self.ids = tuple(sorted(self._files))
-        self.info = DatasetInfo("kitti-road", _classes(target) if labels else (), "file")
+        classes = _classes(target) if labels else ()
+        self.info = DatasetInfo("kitti-road", classes, "file", split_by="eighth")
 
     def _add(self, files: RoadFiles, depth_from: DepthFrom | None) -> None:
         self._files[files.id] = files

@@ -36,7 +36,7 @@ def resplit(
     ----------
     split_file : path, optional
         In place of a rule.
-    rule : {"frame", "group", "stratified"}, optional
+    rule : {"frame", "group", "stratified", "eighth"}, optional
         None = the rule the store was split by last, or by frame where that was a file.
     seed : int
 

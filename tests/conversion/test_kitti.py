@@ -1,5 +1,7 @@
 """KITTI road through `convert`: every size in one store, calibration and depth's source kept."""
 
+import shutil
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,14 @@ from nimprep.splits import count_splits
 from nimprep.store.info import store_info
 from nimprep.store.resplit import resplit
 from nimprep.store.validate import validate_store
-from tests.kitti.scenes import MATRICES, ground_truth, noise, write_calibration, write_png
+from tests.kitti.scenes import (
+    MATRICES,
+    ground_truth,
+    noise,
+    road_folder,
+    write_calibration,
+    write_png,
+)
 
 SIZES = {721.5377: (1242, 375), 718.856: (1241, 376), 707.0912: (1226, 370), 707.0493: (1224, 370)}
 
@@ -62,14 +71,14 @@ def test_testing_frames_are_test_and_training_frames_train_and_val(made: nimprep
     assert count_splits(made.splits.values()) == {"train": 9, "val": 3, "test": 1}
     validation = [made.tables.group[i] for i in made.indices("val")]
     assert sorted(validation) == ["um", "umm", "uu"]
-    assert made.attributes["split"]["rule"] == "stratified"
+    assert made.attributes["split"] == {"rule": "eighth", "seed": 0}
 
 
 def test_splitting_anew_leaves_the_testing_frames_test(made: nimprep.Store) -> None:
     splits = resplit(made.path, rule="frame", seed=4)
     assert splits["testing/um_000000"] == "test"
     assert count_splits(splits.values())["test"] == 1
-    resplit(made.path, rule="stratified", seed=0)
+    assert count_splits(resplit(made.path, rule="eighth", seed=0).values())["val"] == 3
 
 
 def test_labels_are_ignored_outside_the_evaluated_area_and_in_testing_frames(
@@ -134,3 +143,43 @@ def test_options_that_replace_the_benchmarks_calibration_are_refused(
     write_frame(root, "training", "um_000000", 721.5377)
     with pytest.raises(LayoutError, match="leave out --camera"):
         nimprep.convert(root, tmp_path / "a.zarr", camera=(1, 1, 1, 1))
+
+
+def _whole_benchmark(root: Path) -> Path:
+    """Write all 289 training and 290 testing frames, every one of the same few bytes."""
+    (one,) = [road_folder(root.parent / "one")]
+    parts = {"image_2": "um_000000.png", "calib": "um_000000.txt", "gt_image_2": None}
+    numbers = {"training": (95, 96, 98), "testing": (96, 94, 100)}
+    for split, counts in numbers.items():
+        for category, count in zip(("um", "umm", "uu"), counts, strict=True):
+            for number in range(count):
+                for part, source in parts.items():
+                    if source is None and split == "testing":
+                        continue
+                    kind = "_road" if source is None else ""
+                    data = (one / "training" / part / (source or "um_road_000000.png")).read_bytes()
+                    ending = ".txt" if part == "calib" else ".png"
+                    path = root / split / part / f"{category}{kind}_{number:06d}{ending}"
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    path.write_bytes(data)
+    return root
+
+
+@pytest.mark.parametrize("halves", [("training", "testing"), ("training",)])
+def test_the_whole_benchmark_is_253_to_train_and_36_to_validate(
+    tmp_path: Path, halves: tuple[str, ...]
+) -> None:
+    root = _whole_benchmark(tmp_path / "data_road")
+    if "testing" not in halves:
+        shutil.rmtree(root / "testing")
+    made = nimprep.convert(root, tmp_path / "s.zarr", modalities=["label"], shard_length=512)
+    test = 290 if "testing" in halves else 0
+    expected = {"train": 253, "val": 36, "test": test}
+    assert count_splits(made.splits.values()) == expected
+    assert Counter(made.tables.group[i] for i in made.indices("val")) == dict.fromkeys(
+        ("um", "umm", "uu"), 12
+    )
+    assert {i.split("/")[0] for i, s in made.splits.items() if s == "test"} <= {"testing"}
+    # Another rule, and back.
+    assert count_splits(resplit(made.path, rule="stratified").values())["val"] == 45
+    assert count_splits(resplit(made.path, rule="eighth").values()) == expected
