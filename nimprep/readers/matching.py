@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from nimprep.errors import LayoutError
 from nimprep.readers.description import Description
 from nimprep.readers.frames import match_frames
-from nimprep.readers.patterns import capture
+from nimprep.readers.patterns import capture, placeholders
+from nimprep.readers.tree import check_pattern, found_files
 
-MAX_FILES = 1 << 22
-"""A dataset's folder with more files is refused: a link led somewhere it should not."""
+Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass(frozen=True)
@@ -84,73 +83,65 @@ def matched_frames(root: Path, description: Description, wanted: Collection[str]
 def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
     """Return {frame id: file} for a pattern with ``{id}``.
 
-    Hidden files and folders are passed over.
-
     Raises
     ------
     LayoutError
         The pattern leaves the folder, its folder is missing, or two files give one id.
     """
-    if pattern.count("{id}") != 1 or pattern.startswith("/") or ".." in pattern.split("/"):
-        raise LayoutError(
-            f"{root}: expected a pattern below the folder with one {{id}}, found {pattern!r}"
-        )
-    fixed = re.split(r"[^/]*[*?{]", pattern, maxsplit=1)[0]
-    start = root / fixed
-    # Path.is_dir raises where a name is too long for any file.
-    if not os.path.isdir(start):  # noqa: PTH112
-        raise LayoutError(f"{start}: expected a folder with files {pattern!r}, found none")
+    if pattern.count("{id}") != 1:
+        raise LayoutError(f"{root}: expected a pattern with one {{id}}, found {pattern!r}")
     found: dict[str, Path] = {}
-    for path in _files_below(start, root):
-        frame_id = capture(pattern, path.relative_to(root).as_posix(), "id")
-        if frame_id is None:
-            continue
-        if not frame_id.isprintable():
-            raise LayoutError(f"{path!a}: expected a printable file name, found another")
-        if frame_id in found:
-            raise LayoutError(
-                f"{path}: expected one file per id {frame_id!r}, found "
-                f"{found[frame_id]} too; put more of the path into {{id}}"
-            )
-        found[frame_id] = path
+    for path, values in found_files(root, pattern):
+        _add(found, values["id"], path)
     return found
 
 
-def _files_below(start: Path, root: Path) -> Iterator[Path]:
-    """Yield files in order, each folder once; hidden ones are passed over.
+def files_for(
+    root: Path, pattern: str, captured: Mapping[str, Mapping[str, str]]
+) -> dict[str, Place]:
+    """Return each frame's file: that whose placeholders stand for what the frame's do.
 
-    Links are followed, as datasets are often spread over disks, and only ever read through: to
-    files wherever they are, to folders too unless they lead to the dataset's own folder or one
-    above it. Such a link would bring in the whole disk, the dataset again included.
+    Parameters
+    ----------
+    pattern : str
+        Of its placeholders those count that frames have. With fewer than a frame has, frames
+        share a file: the camera of a scene; with none of them, all do.
+    captured : mapping of frame id to mapping of placeholder to str
+        As `Matched.captured`.
+
+    Returns
+    -------
+    dict of frame id to Place
+        Frames without such a file are not in it.
+
+    Raises
+    ------
+    LayoutError
+        The pattern leaves the folder, its folder is missing, or a frame has two such files.
     """
+    known = next(iter(captured.values()), {})
+    names = [name for name in placeholders(pattern) if name in known]
+    check_pattern(root, pattern)
+    if not placeholders(pattern) and not set("*?") & set(pattern):
+        return dict.fromkeys(captured, Place(root / pattern))
+    wanted = {i: tuple(values[name] for name in names) for i, values in captured.items()}
+    frame_of = {key: i for i, key in wanted.items()}
+    found: dict[tuple[str, ...], Path] = {}
+    for path, values in found_files(root, pattern):
+        key = tuple(values[name] for name in names)
+        if key in frame_of:
+            _add(found, key, path, frame_of[key])
+    return {i: Place(found[key]) for i, key in wanted.items() if key in found}
 
-    def refuse(error: OSError) -> None:
+
+def _add(found: dict[Key, Path], key: Key, path: Path, frame_id: object = None) -> None:
+    """Keep a frame's file, the only one."""
+    if key in found:
         raise LayoutError(
-            f"{error.filename}: expected a readable folder, found {error.strerror}"
-        ) from error
-
-    seen: set[str] = set()
-    count, home = 0, Path(os.path.realpath(root))
-    for folder, subfolders, names in os.walk(start, onerror=refuse, followlinks=True):
-        real = os.path.realpath(folder)
-        if real in seen:
-            subfolders.clear()
-            continue
-        if home.is_relative_to(real) and Path(folder) != root:
-            raise LayoutError(
-                f"{folder}: expected a link into the dataset or away from it, found one to {real}, "
-                "which holds the dataset; remove the link"
-            )
-        seen.add(real)
-        count += len(names) + 1
-        if count > MAX_FILES:
-            raise LayoutError(f"{start}: expected at most {MAX_FILES} files, found more")
-        subfolders[:] = sorted(s for s in subfolders if not s.startswith("."))
-        for name in sorted(n for n in names if not n.startswith(".")):
-            path = Path(folder, name)
-            # A pipe or a device would wait for ever; a link to nothing is an error when read.
-            if path.is_file() or not path.exists():
-                yield path
+            f"{path}: expected one file per id {frame_id or key!r}, found {found[key]} too; put "
+            "more of the path into placeholders, or narrow the pattern"
+        )
+    found[key] = path
 
 
 def group_of(frame_id: str, pattern: str | None) -> str:

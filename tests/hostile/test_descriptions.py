@@ -15,6 +15,7 @@ from nimprep.errors import CameraError, LayoutError, NimprepError, SplitError
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.cameras import camera_from_file
 from nimprep.readers.matching import files_by_id, group_of
+from nimprep.readers.patterns import captures
 from nimprep.splits import split_document, splits_from_file
 from tests.fakes import NYU_LIKE, write_nyu_like
 from tests.hostile.damage import damaged, damaged_document
@@ -165,3 +166,9 @@ def test_no_pattern_takes_long_over_any_name(tmp_path: Path, pattern: str) -> No
     with limited_time():
         assert files_by_id(tmp_path, pattern) == {}
         assert group_of("a/" * 1000, pattern.replace("{id}", "{group}")) == ""
+
+
+@pytest.mark.parametrize("pattern", ["{id}{id}" * 30 + "b", "{x}" * 60 + "{id}b", "*{a}{a}" * 35])
+def test_no_number_of_placeholders_takes_long(pattern: str) -> None:
+    with limited_time():
+        assert captures(pattern, "/".join(["a" * 200] * 12)) is None

@@ -179,7 +179,7 @@ def test_a_frame_without_its_camera_file_is_named(tmp_path: Path) -> None:
     ("change", "words"),
     [
         ({"rgb": "/etc/{id}.png"}, "rgb"),
-        ({"rgb": "color/x.png"}, "rgb"),
+        ({"rgb": "color/x.png"}, "color/x.png"),
         ({"rgb": "../{id}.png"}, "below the folder"),
         ({"depth": {"files": "depth/{id}.png"}}, "scale_m"),
         ({"classes": []}, "classes"),

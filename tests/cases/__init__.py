@@ -1,0 +1,1 @@
+"""What people ran into, rebuilt small: each case's right value, kind by kind."""
