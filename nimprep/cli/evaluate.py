@@ -13,6 +13,7 @@ from nimprep.cli.options import json_option, progress_bars, quiet_option
 
 if TYPE_CHECKING:
     from nimprep.evaluation import Comparison
+    from nimprep.evaluation.comparison import Unit
 
 FORMATS = ("text", "json", "markdown", "latex")
 METRICS = ("f_score", "iou", "precision", "recall")
@@ -71,6 +72,12 @@ def _pair(value: str) -> tuple[str, str]:
     show_default=True,
     help="Columns of the tables; JSON has them all.",
 )
+@click.option(
+    "--percent/--fraction",
+    default=True,
+    show_default=True,
+    help="What the tables show scores in; JSON has fractions, 0 to 1.",
+)
 @click.option("--html", type=click.Path(path_type=Path), help="Write a page with overlays too.")
 @click.option("--overwrite", is_flag=True, help="Replace the page where it is there already.")
 @click.option(
@@ -88,6 +95,7 @@ def evaluate(
     style: str | None,
     as_json: bool,
     metrics: tuple[str, ...],
+    percent: bool,
     html: Path | None,
     overwrite: bool,
     worst: int,
@@ -101,7 +109,9 @@ def evaluate(
     the classes that are not background (0).
 
     Several folders give one table of methods, the best of each column marked (* in text, bold
-    elsewhere). A method is called by its folder; NAME=FOLDER gives it another name.
+    elsewhere; none where it is 0). "–" is undefined: the precision of a class that was never
+    predicted, the recall of one that no pixel has, and a mean over it. A method is called by its
+    folder; NAME=FOLDER gives it another name.
     """
     if as_json and style not in (None, "json"):
         raise click.UsageError(f"expected --json or --format, found both (--format {style})")
@@ -121,10 +131,13 @@ def evaluate(
 
         write_page(html, store, found, worst, progress, overwrite=overwrite)
     style = "json" if as_json else style or "text"
-    echo(_written(found, style, metrics, worst), lines=True, bold=True)
+    unit: Unit = "percent" if percent else "fraction"
+    echo(_written(found, style, metrics, worst, unit), lines=True, bold=True)
 
 
-def _written(found: Comparison, style: str, metrics: tuple[str, ...], worst: int) -> str:
+def _written(
+    found: Comparison, style: str, metrics: tuple[str, ...], worst: int, unit: Unit
+) -> str:
     from nimprep.evaluation.markup import comparison_latex, comparison_markdown
     from nimprep.evaluation.text import comparison_text, evaluation_text
 
@@ -132,9 +145,9 @@ def _written(found: Comparison, style: str, metrics: tuple[str, ...], worst: int
     if style == "json":
         return json.dumps(found.first.to_dict() if alone else found.to_dict(), indent=2)
     if style == "markdown":
-        return comparison_markdown(found.table(metrics))
+        return comparison_markdown(found.table(metrics, unit))
     if style == "latex":
-        return comparison_latex(found.table(metrics))
-    return (
-        evaluation_text(found.first, metrics, worst) if alone else comparison_text(found, metrics)
-    )
+        return comparison_latex(found.table(metrics, unit))
+    if alone:
+        return evaluation_text(found.first, metrics, worst, unit)
+    return comparison_text(found, metrics, unit)

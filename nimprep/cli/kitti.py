@@ -43,6 +43,17 @@ _type = click.option(
 )
 
 
+def _fraction(ctx: click.Context, param: click.Parameter, value: str) -> float:
+    text = value.strip()
+    try:
+        fraction = float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        fraction = -1.0
+    if not 0 <= fraction <= 1:
+        raise click.BadParameter(f"expected 0 to 1 or 0% to 100%, found {value!r}")
+    return fraction
+
+
 def _view_option(default: str) -> Callable[[Command], Command]:
     return click.option(
         "--view",
@@ -131,7 +142,9 @@ def evaluate(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Score PREDICTIONS against the ground truths GT as the benchmark does, in percent.
+    """Score PREDICTIONS against the ground truths GT as the benchmark does.
+
+    The table is in percent, the confidence's threshold for the highest F-score among it.
 
     PREDICTIONS holds confidence maps named by frame id (um_000000 or training/um_000000) or as the
     benchmark does (um_road_000000): .png of 8 or 16 bits, or .npy of probabilities, (H, W), 0 to
@@ -148,10 +161,10 @@ def evaluate(
 
 def _score_table(evaluation: Evaluation) -> str:
     measures = ("MaxF", "AP", "PRE", "REC", "FPR", "FNR")
-    lines = [f"{'':10}" + "".join(f"{name:>8}" for name in measures) + f"{'threshold':>11}"]
+    lines = [f"{'in %':10}" + "".join(f"{name:>8}" for name in measures) + f"{'threshold':>11}"]
     for table, score in evaluation.scores.items():
         values = "".join(f"{getattr(score, name):8.2f}" for name in measures)
-        lines.append(f"{table:10}{values}{score.best_threshold:11.3f}")
+        lines.append(f"{table:10}{values}{score.best_threshold_percent:11.2f}")
     return "\n".join(lines)
 
 
@@ -211,10 +224,10 @@ def pack(
 @_type
 @click.option(
     "--threshold",
-    type=click.FloatRange(0, 1),
-    default=0.5,
+    callback=_fraction,
+    default="50%",
     show_default=True,
-    help="Confidence at or above which a pixel counts as road.",
+    help="Confidence at or above which a pixel counts as road: 0.52 or 52%, as evaluate prints it.",
 )
 @_overwrite
 @quiet_option

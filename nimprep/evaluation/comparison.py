@@ -7,13 +7,23 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from nimprep.evaluation.scores import BACKGROUND, MEASURES, Evaluation
+from nimprep.evaluation.scores import BACKGROUND, FRACTION, MEASURES, Evaluation
 
-DIGITS = 4
+Unit = Literal["percent", "fraction"]
+"""What tables show scores in; everywhere else they are fractions, 0 to 1."""
+
+DIGITS: dict[Unit, int] = {"percent": 2, "fraction": 4}
 """Tables show scores to so many decimals; equal at these, two methods are equally good."""
+
+CORNER: dict[Unit, str] = {"percent": "in %", "fraction": ""}
+"""What stands in a table's corner, where its unit has to be said."""
+
+UNDEFINED = "–"
+"""Stands for a score that is undefined: the precision of a class that was never predicted."""
 
 HEADS = {"f_score": "F-score", "iou": "IoU", "precision": "precision", "recall": "recall"}
 """What tables call the measures."""
@@ -58,12 +68,15 @@ class Table:
         The classes that are not background, and their mean where there are several.
     heads : tuple of str
         The measures, the same in each block.
+    unit : {"percent", "fraction"}
+        Of the scores.
     rows : tuple of (str, tuple of Cell)
         A method's name and its scores, block by block.
     """
 
     blocks: tuple[str, ...]
     heads: tuple[str, ...]
+    unit: Unit
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
 
 
@@ -93,17 +106,13 @@ class Comparison:
     def best(self, place: int | None, measure: str) -> list[bool]:
         """Say of each method whether its score is the highest, as far as tables show it.
 
-        All of several equals are; none is where there is one method only or no defined score.
+        All of several equals are; none is where there is one method only, or no score above 0.
         """
-        shown = [float(_shown(v)) for v in self.values(place, measure) if not math.isnan(v)]
-        if len(self.methods) == 1 or not shown:
-            return [False] * len(self.methods)
-        highest = max(shown)
-        return [
-            not math.isnan(v) and float(_shown(v)) == highest for v in self.values(place, measure)
-        ]
+        digits = [round(v, DIGITS["fraction"]) for v in self.values(place, measure)]
+        highest = max((v for v in digits if not math.isnan(v)), default=0.0)
+        return [len(digits) > 1 and highest > 0 and v == highest for v in digits]
 
-    def table(self, measures: Sequence[str] = tuple(MEASURES)) -> Table:
+    def table(self, measures: Sequence[str] = tuple(MEASURES), unit: Unit = "percent") -> Table:
         """Return methods × measures for each class that is not background, and their mean."""
         places: list[int | None] = [*self.foreground]
         if len(places) != 1:
@@ -111,19 +120,23 @@ class Comparison:
         columns = []
         for place in places:
             for measure in measures:
-                texts = ["" if math.isnan(v) else _shown(v) for v in self.values(place, measure)]
+                texts = [
+                    "" if math.isnan(v) else shown(v, unit) for v in self.values(place, measure)
+                ]
                 best = self.best(place, measure)
                 columns.append([Cell(t, b) for t, b in zip(texts, best, strict=True)])
         names = [method.name for method in self.methods]
         return Table(
             blocks=tuple(MEAN if p is None else self.first.classes[p].name for p in places),
             heads=tuple(HEADS[measure] for measure in measures),
+            unit=unit,
             rows=tuple(zip(names, zip(*columns, strict=True), strict=True)),
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return what `nimprep evaluate --json` prints of several folders."""
         return {
+            "unit": FRACTION,
             "split": self.first.split,
             "frames": len(self.first.frames),
             "methods": [
@@ -155,8 +168,13 @@ class Comparison:
         }
 
 
-def _shown(value: float) -> str:
-    return f"{value:.{DIGITS}f}"
+def shown(value: float, unit: Unit) -> str:
+    """Return a score, 0 to 1 or NaN, as tables show it."""
+    if math.isnan(value):
+        return UNDEFINED
+    # Rounded once, so that both units show the same digits.
+    digits = Decimal(f"{value:.{DIGITS['fraction']}f}")
+    return f"{digits:f}" if unit == "fraction" else f"{100 * digits:.{DIGITS['percent']}f}"
 
 
 def method_names(folders: Sequence[Path]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from nimprep.evaluation.comparison import Table
+from nimprep.evaluation.comparison import CORNER, UNDEFINED, Table
 from nimprep.text import printable
 
 _MARKDOWN = {ord(c): f"\\{c}" for c in "\\`*_[]<>|~&$"}
@@ -39,9 +39,10 @@ _LATEX = {
 def comparison_markdown(table: Table) -> str:
     """Return the table as GitHub Flavored Markdown, the best scores in bold."""
     heads = [_markdown(f"{block}: {head}") for block in table.blocks for head in table.heads]
-    lines = [["method", *heads], ["---", *["---:"] * len(heads)]]
+    corner = ", ".join(filter(None, ("method", CORNER[table.unit])))
+    lines = [[corner, *heads], ["---", *["---:"] * len(heads)]]
     for name, cells in table.rows:
-        texts = (f"**{cell.text}**" if cell.best else cell.text or "-" for cell in cells)
+        texts = (f"**{cell.text}**" if cell.best else cell.text or UNDEFINED for cell in cells)
         lines.append([_markdown(name), *texts])
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
@@ -63,7 +64,7 @@ def comparison_latex(table: Table) -> str:
         r"% needs \usepackage{booktabs}",
         f"\\begin{{tabular}}{{l{'r' * len(heads)}}}",
         r"\toprule",
-        f" & {' & '.join(spans)} \\\\",
+        f"{_latex(CORNER[table.unit])} & {' & '.join(spans)} \\\\",
         "".join(rules),
         f"method & {' & '.join(heads)} \\\\",
         r"\midrule",

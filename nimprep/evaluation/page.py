@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nimprep.evaluation.comparison import DIGITS, HEADS, Comparison, Method
+from nimprep.evaluation.comparison import DIGITS, HEADS, UNDEFINED, Comparison, Method, shown
 from nimprep.evaluation.overlays import draw_frames, worst_frames
 from nimprep.evaluation.scores import MEASURES, Evaluation
 from nimprep.files import write_whole
@@ -56,7 +56,7 @@ def write_page(
         "frames": len(found.first.frames),
         "pixels": int(found.first.confusion.sum()),
         "heads": list(HEADS.values()),
-        "digits": DIGITS,
+        "digits": DIGITS["percent"],
         "table": _table(found) if len(found.methods) > 1 else None,
         "methods": [_method(method) for method in found.methods],
         "groups": _groups(found),
@@ -69,7 +69,7 @@ def write_page(
 
 
 def _score(value: float) -> str:
-    return "–" if value != value else f"{value:.{DIGITS}f}"
+    return shown(value, "percent")
 
 
 def _table(found: Comparison) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def _worst(found: Comparison, frame_id: str, overlays: list[Any]) -> dict[str, A
         {
             "method": printable(overlay.method) if len(found.methods) > 1 else "",
             "class_name": printable(overlay.class_name),
-            "iou": "–" if overlay.iou is None else _score(overlay.iou),
+            "iou": UNDEFINED if overlay.iou is None else f"{_score(overlay.iou)} %",
             "uri": overlay.uri,
         }
         for overlay in overlays

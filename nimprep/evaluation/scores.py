@@ -21,6 +21,9 @@ from nimprep.metrics import (
     recall_per_class,
 )
 
+FRACTION = "fraction"
+"""The unit of scores in JSON: 0 to 1."""
+
 BACKGROUND = 0
 """Id of the class that the mean leaves out, as the paper's average does."""
 
@@ -70,18 +73,16 @@ class Evaluation:
     def mean(self) -> dict[str, float]:
         """Each measure's mean over the classes that are not background.
 
-        A class that neither labels nor predictions have is left out; where one of the two has it,
-        an undefined precision or recall counts as 0. NaN where no class is left.
+        A class that neither labels nor predictions have is left out. NaN where no class is left,
+        or where one of them has no such score: no precision, as nothing was predicted to be of it,
+        or no recall, as nothing is.
         """
         confusion = self.confusion
         seen = (confusion.sum(axis=0) + confusion.sum(axis=1)) > 0
         counted = seen & np.array([c.id != BACKGROUND for c in self.classes], dtype=bool)
         if not counted.any():
             return dict.fromkeys(MEASURES, math.nan)
-        return {
-            name: float(np.nan_to_num(values[counted]).mean())
-            for name, values in self.scores.items()
-        }
+        return {name: float(values[counted].mean()) for name, values in self.scores.items()}
 
     @cached_property
     def by_group(self) -> dict[str, Evaluation]:
@@ -116,6 +117,7 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Return what `nimprep evaluate --json` prints (schemas/evaluation.schema.json)."""
         return {
+            "unit": FRACTION,
             "split": self.split,
             **self._summary(),
             "accuracy": or_none(pixel_accuracy(self.confusion)),

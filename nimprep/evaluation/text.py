@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 
-from nimprep.evaluation.comparison import DIGITS, HEADS, MEAN, Comparison, Table
+from nimprep.evaluation.comparison import (
+    CORNER,
+    DIGITS,
+    HEADS,
+    MEAN,
+    UNDEFINED,
+    Comparison,
+    Table,
+    Unit,
+    shown,
+)
 from nimprep.evaluation.scores import MEASURES, Evaluation
 from nimprep.text import printable
 
@@ -13,8 +22,18 @@ BEST = "*"
 """Follows the best score of a column, and is explained below the table."""
 
 
+WHY_UNDEFINED = (
+    f"{UNDEFINED} undefined: precision where nothing was predicted to be of the class, recall "
+    "where nothing is; and the mean of which it would be a part"
+)
+"""Explains the dash below a table that has one."""
+
+
 def evaluation_text(
-    found: Evaluation, measures: Sequence[str] = tuple(MEASURES), worst: int = 10
+    found: Evaluation,
+    measures: Sequence[str] = tuple(MEASURES),
+    worst: int = 10,
+    unit: Unit = "percent",
 ) -> str:
     """Return a row per class and their mean, the confusion matrix, the groups and worst frames."""
     rows = [
@@ -22,15 +41,17 @@ def evaluation_text(
     ]
     rows.append(("mean, no background", [found.mean[m] for m in measures]))
     heads = [HEADS[m] for m in measures]
-    parts = [_what(found), _scores("", heads, rows), _confusion(found)]
+    parts = [_what(found), _scores(CORNER[unit], heads, rows, unit), _confusion(found)]
     if found.by_group:
         groups = {g or "(no group)": part for g, part in found.by_group.items()}
         parts.append(
-            _scores("mean by group", ["frames", *heads], _means(groups, measures, count=True))
+            _scores("mean by group", ["frames", *heads], _means(groups, measures, count=True), unit)
         )
     if worst and len(found.frames) > 1:
         frames = dict(list(found.by_frame.items())[:worst])
-        parts.append(_scores("mean, worst frames first", heads, _means(frames, measures)))
+        parts.append(_scores("mean, worst frames first", heads, _means(frames, measures), unit))
+    if any(UNDEFINED in part for part in parts):
+        parts.append(WHY_UNDEFINED)
     return "\n\n".join(parts)
 
 
@@ -48,21 +69,17 @@ def _means(
     ]
 
 
-def _scores(title: str, heads: Sequence[str], rows: Sequence[tuple[str, list[float]]]) -> str:
+def _scores(
+    title: str, heads: Sequence[str], rows: Sequence[tuple[str, list[float]]], unit: Unit
+) -> str:
     """Return a line per row of numbers; whole ones are counts, NaN is a dash."""
     names = [printable(name) for name, _ in rows]
     wide = _widest([title, *names])
     lines = [f"{title:<{wide}}" + "".join(f"{head:>11}" for head in heads)]
     for name, (_, values) in zip(names, rows, strict=True):
-        texts = (
-            "-" if math.isnan(v) else str(v) if isinstance(v, int) else _shown(v) for v in values
-        )
+        texts = (str(v) if isinstance(v, int) else shown(v, unit) for v in values)
         lines.append(f"{name:<{wide}}" + "".join(f"{text:>11}" for text in texts))
     return "\n".join(lines)
-
-
-def _shown(value: float) -> str:
-    return f"{value:.{DIGITS}f}"
 
 
 def _widest(texts: Iterable[str]) -> int:
@@ -82,16 +99,20 @@ def _confusion(found: Evaluation) -> str:
     return "\n".join(lines)
 
 
-def comparison_text(found: Comparison, measures: Sequence[str] = tuple(MEASURES)) -> str:
+def comparison_text(
+    found: Comparison, measures: Sequence[str] = tuple(MEASURES), unit: Unit = "percent"
+) -> str:
     """Return the table of methods and measures; the best have a star and are bold by ANSI codes.
 
     A printer to anything but a terminal should strip the codes, as `click.echo` does.
     """
-    table = found.table(measures)
-    legend = f"{BEST} best, by {DIGITS} decimals"
+    table = found.table(measures, unit)
+    legend = f"{BEST} best, by {DIGITS[unit]} decimals"
     if MEAN in table.blocks:
         legend += "; mean: over the classes that are not background"
-    return "\n".join([_what(found.first), "", *_table_lines(table), "", legend])
+    undefined = any(not cell.text for _, cells in table.rows for cell in cells)
+    why = [WHY_UNDEFINED] if undefined else []
+    return "\n".join([_what(found.first), "", *_table_lines(table), "", legend, *why])
 
 
 def _table_lines(table: Table) -> list[str]:
@@ -104,12 +125,12 @@ def _table_lines(table: Table) -> list[str]:
     titles = (f"{printable(b):^{w * number}}" for b, w in zip(table.blocks, widths, strict=True))
     heads = (f"{h:>{w - 1}} " for w, h in zip(each, table.heads * len(widths), strict=True))
     lines = [
-        (" " * wide + "".join(titles)).rstrip(),
+        (f"{CORNER[table.unit]:<{wide}}" + "".join(titles)).rstrip(),
         (f"{'method':<{wide}}" + "".join(heads)).rstrip(),
     ]
     for name, (_, cells) in zip(names, table.rows, strict=True):
         texts = (
-            _cell(cell.text or "-", cell.best, width)
+            _cell(cell.text or UNDEFINED, cell.best, width)
             for cell, width in zip(cells, each, strict=True)
         )
         lines.append((f"{name:<{wide}}" + "".join(texts)).rstrip())

@@ -35,7 +35,8 @@ class RoadScore:
         Percent: the highest F-score; average precision; and, at the highest F-score's threshold,
         precision, recall, false positive and false negative rate.
     best_threshold : float
-        Confidence, 0 to 1, at or above which a pixel counts as road for the highest F-score.
+        Confidence, 0 to 1, at or above which a pixel counts as road for the highest F-score;
+        `best_threshold_percent` is the same in the scores' unit.
     positives, negatives : int
         Evaluated pixels by truth.
     """
@@ -49,6 +50,11 @@ class RoadScore:
     best_threshold: float
     positives: int
     negatives: int
+
+    @property
+    def best_threshold_percent(self) -> float:
+        """Confidence, 0 to 100, at or above which a pixel counts as road."""
+        return 100 * self.best_threshold
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,14 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the scores as `nimprep kitti evaluate --json` prints them."""
-        return {table: asdict(score) for table, score in self.scores.items()}
+        return {
+            table: {
+                "unit": "percent",
+                **asdict(score),
+                "best_threshold_percent": score.best_threshold_percent,
+            }
+            for table, score in self.scores.items()
+        }
 
 
 def score_counts(counts: Counts) -> RoadScore:

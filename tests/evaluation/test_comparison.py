@@ -14,7 +14,7 @@ import nimprep
 from nimprep.cli import main
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.evaluation import Comparison, Evaluation, Method, compare_predictions
-from nimprep.evaluation.comparison import method_names
+from nimprep.evaluation.comparison import method_names, shown
 from nimprep.evaluation.markup import comparison_latex, comparison_markdown
 from nimprep.evaluation.text import comparison_text, evaluation_text
 from nimprep.frame import LabelClass
@@ -78,24 +78,77 @@ def test_a_table_has_a_block_per_class_and_their_mean_where_there_are_several() 
     one = Comparison((method("a", 900), method("b", 800))).table(("iou", "recall"))
     assert one.blocks == ("road",)
     assert one.heads == ("IoU", "recall")
-    assert [cell.text for cell in one.rows[0][1]] == ["0.9000", "0.9000"]
+    assert [cell.text for cell in one.rows[0][1]] == ["90.00", "90.00"]
     classes = (BACKGROUND, ROAD, ANOMALY)
     two = Comparison((method("a", 900, classes), method("b", 800, classes))).table()
     assert two.blocks == ("road", "anomaly", "mean")
     texts = [cell.text for cell in two.rows[0][1]]
-    assert texts[:4] == ["0.9474", "0.9000", "1.0000", "0.9000"]
+    assert texts[:4] == ["94.74", "90.00", "100.00", "90.00"]
     # Nobody has an anomaly: undefined, and left out of the mean.
     assert texts[4:8] == [""] * 4
     assert texts[8:] == texts[:4]
 
 
+def test_nobody_is_best_at_nothing() -> None:
+    nothing = Comparison((method("a", 0), method("b", 0)))
+    assert nothing.best(1, "iou") == [False, False]
+    for text in (comparison_markdown(nothing.table()), comparison_latex(nothing.table())):
+        assert "0.00" in text
+        assert "**" not in text
+        assert "textbf" not in text
+    assert "\x1b" not in comparison_text(nothing)
+    # What both would show as 0 is no best either.
+    counts = np.array([[0, 0], [999_999, 1]])
+    hardly = Method("b", Path("b"), Evaluation((BACKGROUND, ROAD), "test", {"a": counts}))
+    assert Comparison((method("a", 0), hardly)).best(1, "iou") == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("value", "percent", "fraction"),
+    [
+        (1.0, "100.00", "1.0000"),
+        (2 / 3, "66.67", "0.6667"),
+        (0.0, "0.00", "0.0000"),
+        (0.00005, "0.01", "0.0001"),
+        (float("nan"), "–", "–"),
+    ],
+)
+def test_both_units_show_the_same_digits(value: float, percent: str, fraction: str) -> None:
+    assert (shown(value, "percent"), shown(value, "fraction")) == (percent, fraction)
+
+
+def test_tables_of_fractions_are_there_when_asked_for(store: Store, tmp_path: Path) -> None:
+    for number, name in enumerate("ab"):
+        write_folder(store, tmp_path / name, number)
+    folders = (tmp_path / "a", tmp_path / "b")
+    for form, expected in (("text", "1.0000*"), ("markdown", "**1.0000**"), ("latex", "{1.0000}")):
+        asked = run(store.path, *folders, "--format", form, "--fraction").stdout
+        assert expected in asked
+        assert "%" not in asked.replace("% needs", "")
+        percent = run(store.path, *folders, "--format", form, "--percent").stdout
+        assert "100.00" in percent
+        assert percent == run(store.path, *folders, "--format", form).stdout
+    for said in ("--percent", "--fraction"):
+        document = json.loads(run(store.path, *folders, "--json", said).stdout)
+        assert document["unit"] == document["methods"][0]["evaluation"]["unit"] == "fraction"
+        assert document["methods"][0]["evaluation"]["mean"]["iou"] == 1
+
+
+def test_documents_without_a_unit_fit_the_schema_still(store: Store, tmp_path: Path) -> None:
+    document = json.loads(run(store.path, write_folder(store, tmp_path / "a", 1), "--json").stdout)
+    del document["unit"]
+    assert schema_problems(document, "evaluation") == []
+    assert schema_problems({**document, "unit": "percent"}, "evaluation")
+
+
 def test_text_marks_the_best_in_bold_and_by_a_star_and_lines_up() -> None:
     text = comparison_text(Comparison((method("a", 900), method("longer", 800))), ("iou",))
-    assert "\x1b[1m0.9000*\x1b[0m" in text
+    assert "\x1b[1m90.00*\x1b[0m" in text
     lines = re.sub(r"\x1b\[\d+m", "", text).splitlines()
     assert lines[0] == "1 frames of split test, 2000 pixels counted"
-    assert lines[3:6] == ["method      IoU", "a        0.9000*", "longer   0.8000"]
-    assert lines[-1] == "* best, by 4 decimals"
+    assert lines[2].split() == ["in", "%", "road"]
+    assert lines[3:6] == ["method      IoU", "a         90.00*", "longer    80.00"]
+    assert lines[-1] == "* best, by 2 decimals"
 
 
 def test_no_name_can_write_to_the_terminal() -> None:
@@ -117,11 +170,11 @@ def test_markdown_is_a_table_whatever_the_names_are() -> None:
     names = ("a|b", "*c* _d_ `e` [f](g) <h> ~i~ $j$ \\ &amp;", "two\nlines")
     found = Comparison(tuple(method(name, 900 - n) for n, name in enumerate(names)))
     lines = comparison_markdown(found.table(("iou", "recall"))).splitlines()
-    assert lines[0] == "| method | road: IoU | road: recall |"
+    assert lines[0] == "| method, in % | road: IoU | road: recall |"
     assert lines[1] == "| --- | ---: | ---: |"
-    assert lines[2] == r"| a\|b | **0.9000** | **0.9000** |"
+    assert lines[2] == r"| a\|b | **90.00** | **90.00** |"
     escaped = r"\*c\* \_d\_ \`e\` \[f\](g) \<h\> \~i\~ \$j\$ \\ \&amp;"
-    assert lines[3] == f"| {escaped} | 0.8990 | 0.8990 |"
+    assert lines[3] == f"| {escaped} | 89.90 | 89.90 |"
     assert len(lines) == 5
 
 
@@ -130,11 +183,11 @@ def test_latex_is_a_tabular_whatever_the_names_are() -> None:
     found = Comparison(tuple(method(name, 900 - n) for n, name in enumerate(names)))
     lines = comparison_latex(found.table(("iou", "recall"))).splitlines()
     assert lines[1] == r"\begin{tabular}{lrr}"
-    assert lines[3] == r" & \multicolumn{2}{c}{road} \\"
+    assert lines[3] == r"in \% & \multicolumn{2}{c}{road} \\"
     assert lines[4] == r"\cmidrule(lr){2-3}"
-    assert lines[7] == r"50\% \& more\_\#\$ & \textbf{0.9000} & \textbf{0.9000} \\"
+    assert lines[7] == r"50\% \& more\_\#\$ & \textbf{90.00} & \textbf{90.00} \\"
     second = r"\textbackslash{}\{\}\textasciitilde{}\textasciicircum{}\textless{}\textgreater{}"
-    assert lines[8] == rf"{second}\textbar{{}} & 0.8990 & 0.8990 \\"
+    assert lines[8] == rf"{second}\textbar{{}} & 89.90 & 89.90 \\"
     # After the \\ of the row above, a bare [ or * would be taken for its options.
     assert lines[9].startswith("{[}12{]} a{*}b &")
     assert lines[10].startswith("{*} &")
@@ -199,11 +252,11 @@ def test_the_command_prints_every_notation(store: Store, tmp_path: Path) -> None
     folders = (tmp_path / "a" / "pred", tmp_path / "b" / "pred")
     text = run(store.path, *folders)
     assert text.exit_code == 0
-    assert re.search(r"^a +1\.0000\* ", text.stdout, re.MULTILINE)
+    assert re.search(r"^a +100\.00\* ", text.stdout, re.MULTILINE)
     # Not a terminal: no codes.
     assert "\x1b" not in text.stdout
-    assert "| a | **1.0000** |" in run(store.path, *folders, "--format", "markdown").stdout
-    assert r"a & \textbf{1.0000} &" in run(store.path, *folders, "--format", "latex").stdout
+    assert "| a | **100.00** |" in run(store.path, *folders, "--format", "markdown").stdout
+    assert r"a & \textbf{100.00} &" in run(store.path, *folders, "--format", "latex").stdout
     document = json.loads(run(store.path, *folders, "--json").stdout)
     assert document == json.loads(run(store.path, *folders, "--format", "json").stdout)
     assert schema_problems(document, "evaluation") == []
@@ -218,7 +271,7 @@ def test_the_command_takes_names_and_chosen_metrics(store: Store, tmp_path: Path
     result = run(
         store.path, f"NIM-RGB+D={a}", f"RGB={b}", "--format", "markdown", "--metrics", "iou"
     )
-    assert result.stdout.splitlines()[2].startswith("| NIM-RGB+D | **1.0000** |")
+    assert result.stdout.splitlines()[2].startswith("| NIM-RGB+D | **100.00** |")
     assert result.stdout.count("IoU") == 3
     assert "F-score" not in result.stdout
 
@@ -257,6 +310,6 @@ def test_the_text_of_one_folder_lists_the_worst_frames(store: Store, tmp_path: P
     write_png(folder / f"{worst}.png", np.zeros((24, 32), np.uint8))
     lines = run(store.path, folder, "--worst", "1").stdout.splitlines()
     place = next(n for n, line in enumerate(lines) if line.startswith("mean, worst frames first"))
-    assert lines[place + 1].split() == [worst, "0.0000", "0.0000", "0.0000", "0.0000"]
-    assert len(lines) == place + 2
+    assert lines[place + 1].split() == [worst, "0.00", "0.00", "–", "0.00"]
+    assert len(lines) == place + 4
     assert "worst" not in run(store.path, folder, "--worst", "0").stdout

@@ -70,11 +70,28 @@ def test_a_case_counted_by_hand(gmrp, tmp_path):
     assert found.mean["f_score"] == pytest.approx((736 / 768 + 16 / 24) / 2)
 
 
-def test_a_class_never_predicted_counts_as_zero_precision_in_the_mean(gmrp, tmp_path):
+def test_a_class_never_predicted_has_no_precision_nor_has_the_mean(gmrp, tmp_path):
     folder = write_predictions(gmrp, tmp_path, "val", lambda label: np.minimum(label, 1))
     found = evaluate_predictions(gmrp, folder)
     assert found.to_dict()["classes"][2]["precision"] is None
-    assert found.mean["precision"] == pytest.approx(368 / 384 / 2)
+    assert np.isnan(found.mean["precision"])
+    assert found.to_dict()["mean"]["precision"] is None
+    assert not schema_problems(found.to_dict(), "evaluation")
+    # What is defined of the class counts: it was missed.
+    assert found.mean["recall"] == 0.5
+    assert found.mean["iou"] == pytest.approx(368 / 384 / 2)
+
+
+def test_the_undefined_is_a_dash_and_explained(gmrp, tmp_path):
+    folder = write_predictions(gmrp, tmp_path, "val", lambda label: np.minimum(label, 1))
+    lines = run(gmrp.path, folder, "--metrics", "precision,recall").stdout.splitlines()
+    rows = {line.rsplit(maxsplit=2)[0]: line.split()[-2:] for line in lines[2:7]}
+    assert rows["in %"] == ["precision", "recall"]
+    assert rows["road anomaly"] == ["–", "0.00"]
+    assert rows["mean, no background"] == ["–", "50.00"]
+    assert lines[-1].startswith("– undefined: precision where nothing was predicted")
+    whole = write_predictions(gmrp, tmp_path / "whole", "val")
+    assert "undefined" not in run(gmrp.path, whole).stdout
 
 
 def test_a_class_that_nobody_has_is_left_out_of_the_mean(gmrp):

@@ -92,16 +92,16 @@ def test_the_page_stands_alone_and_says_what_was_scored(folders: Path, tmp_path:
     out = tmp_path / "page.html"
     result = run(folders / "s.zarr", folders / "a", folders / "b", "--html", out, "--worst", "2")
     assert result.exit_code == 0
-    assert re.search(r"^a +1\.0000\* ", result.stdout, re.MULTILINE)
+    assert re.search(r"^a +100\.00\* ", result.stdout, re.MULTILINE)
     page = out.read_text(encoding="utf-8")
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)
     assert "://" not in re.sub(r"data:image/webp;base64,[^\"]*", "", page)
     # Two frames, two classes, two methods.
     assert page.count("<img") == page.count('src="data:image/webp') == 8
     assert page.count("<article") == 2
-    assert 'class="number best">1.0000<' in page
+    assert 'class="number best">100.00<' in page
     found = compare_predictions(folders / "s.zarr", [folders / "a", folders / "b"])
-    assert f"{found.values(None, 'iou')[1]:.4f}" in page
+    assert f"{100 * found.values(None, 'iou')[1]:.2f}" in page
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 
@@ -112,7 +112,7 @@ def test_the_page_of_one_method_has_its_groups(tmp_path: Path) -> None:
     for frame in store:
         write_png(tmp_path / "a" / f"{frame.id}.png", np.ones(SIZE, np.uint8))
     result = run(store.path, tmp_path / "a", "--html", tmp_path / "page.html")
-    assert re.search(r"^kitchen +2 +0\.9474 ", result.stdout, re.MULTILINE)
+    assert re.search(r"^kitchen +2 +94\.74 ", result.stdout, re.MULTILINE)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert '<th scope="row">kitchen</th>' in page
     # The store has no photographs: pictures are drawn on grey.

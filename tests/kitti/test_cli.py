@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from nimprep.cli import main
+from nimprep.schema import schema_problems
 
 from .scenes import HEIGHT, WIDTH, ground_truth, noise, road_folder, write_calibration, write_png
 
@@ -52,9 +53,35 @@ def test_scores_are_a_table_for_people(road: Path) -> None:
     )
     assert result.exit_code == 0
     header, first, second = result.stdout.splitlines()
-    assert header.split() == ["MaxF", "AP", "PRE", "REC", "FPR", "FNR", "threshold"]
+    assert header.split() == ["in", "%", "MaxF", "AP", "PRE", "REC", "FPR", "FNR", "threshold"]
     assert (first.split()[0], second.split()[0]) == ("um_road", "urban")
     assert len(first.split()) == 8
+
+
+def test_scores_and_threshold_are_of_one_unit_that_is_said(road: Path) -> None:
+    folders = (road.parents[1] / "predictions", road / "gt_image_2")
+    table = _run("evaluate", *folders, "--view", "perspective").stdout.splitlines()[1].split()
+    scores = json.loads(_run("evaluate", *folders, "--view", "perspective", "--json").stdout)
+    row = scores["um_road"]
+    assert row["unit"] == "percent"
+    assert row["best_threshold_percent"] == 100 * row["best_threshold"]
+    shown = [f"{row[n]:.2f}" for n in ("MaxF", "AP", "PRE", "REC", "FPR", "FNR")]
+    assert table[1:] == [*shown, f"{row['best_threshold_percent']:.2f}"]
+    assert schema_problems(scores, "kitti-scores") == []
+    for name in ("unit", "best_threshold_percent"):
+        del row[name]
+    # What format 1.0 said of a table.
+    assert schema_problems({"um_road": row}, "kitti-scores") == []
+
+
+def test_a_threshold_is_taken_as_it_is_printed(road: Path, tmp_path: Path) -> None:
+    folders = (road.parents[1] / "predictions", road / "gt_image_2", road / "image_2")
+    pictures = []
+    for i, said in enumerate(("0.25", "25%", "25.00%")):
+        result = _run("overlay", *folders, tmp_path / str(i), "--threshold", said)
+        assert result.exit_code == 0, result.output
+        pictures.append((tmp_path / str(i) / "um_road_000000.png").read_bytes())
+    assert len(set(pictures)) == 1
 
 
 def test_all_five_steps_run(road: Path, tmp_path: Path) -> None:
@@ -172,6 +199,9 @@ def test_bad_input_is_one_line_and_exit_1(road: Path, tmp_path: Path, make, name
         ("evaluate", "a", "b", "--view", "side"),
         ("pack", "a", "b", "--type", "kerb"),
         ("overlay", "a", "b", "c", "d", "--threshold", "2"),
+        ("overlay", "a", "b", "c", "d", "--threshold", "101%"),
+        ("overlay", "a", "b", "c", "d", "--threshold", "half"),
+        ("overlay", "a", "b", "c", "d", "--threshold", "nan"),
         ("fly",),
     ],
 )
