@@ -1,6 +1,7 @@
 """Decode one image file, with every doubt about it turned into a `DecodeError`.
 
-PNG, JPEG, TIFF, BMP, WebP, PNM and PFM through OpenCV, .npy through NumPy. What an image claims to
+PNG, JPEG, TIFF, BMP, WebP, PNM and PFM through OpenCV; arrays in .npy and .npz and bare numbers
+through NumPy; HDF5 and MATLAB 7.3 through h5py; EXR through OpenEXR. What an image claims to
 be is read here, before OpenCV sees it (PNG and JPEG strictly, the others by Pillow's parsers): a
 size that cannot be costs no memory, what is cut or damaged is named, and decoders of formats that
 nobody needs here get no input at all.
@@ -12,16 +13,21 @@ whole process, so that holding it back around a decode would swallow other threa
 """
 
 from nimprep.images.array import read_array, read_array_header
-from nimprep.images.decode import read_bytes, read_depth, read_header, read_label, read_rgb
+from nimprep.images.decode import read_bytes, read_depth, read_label, read_rgb
 from nimprep.images.header import ImageHeader
+from nimprep.images.layout import Layout, Raw
+from nimprep.images.plane import read_header, read_plane
 
 __all__ = [
     "ImageHeader",
+    "Layout",
+    "Raw",
     "read_array",
     "read_array_header",
     "read_bytes",
     "read_depth",
     "read_header",
     "read_label",
+    "read_plane",
     "read_rgb",
 ]

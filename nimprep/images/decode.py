@@ -16,6 +16,7 @@ from nimprep.frame import MAX_PIXELS
 from nimprep.images import jpeg, pillow, png
 from nimprep.images.array import ArrayHeader, read_array, read_array_header
 from nimprep.images.header import MAX_BYTES, ImageHeader, broken, check_header
+from nimprep.images.signatures import NEEDED, unread_format
 
 _FORMATS: dict[bytes, Callable[[bytes, Path], ImageHeader]] = {
     png.SIGNATURE: png.png_header,
@@ -38,17 +39,14 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def read_header(path: Path) -> ImageHeader:
-    """Return an image file's size and kind; for PNG and .npy from its first bytes alone.
+def image_header(path: Path) -> ImageHeader:
+    """Return an image file's size and kind; for PNG from its first bytes alone.
 
     Raises
     ------
     DecodeError
         It is no image, is cut short, or claims more than `MAX_PIXELS` pixels.
     """
-    if path.suffix == ".npy":
-        array = _check_shape(read_array_header(path), path)
-        return ImageHeader(array.shape[0], array.shape[1], 8 * array.dtype.itemsize, "array")
     start = read_start(path, png.HEADER_BYTES)
     return _header(start if start.startswith(png.SIGNATURE) else read_bytes(path), path)
 
@@ -68,13 +66,26 @@ def _header(data: bytes, path: Path) -> ImageHeader:
             header = parse(data, path)
             check_header(header, path)
             return header
-    raise DecodeError(
-        f"{path}: expected an image (PNG, JPEG, TIFF, BMP, WebP, PNM or .npy), "
-        f"found {len(data)} bytes that are none"
-    )
+    raise no_image(path, data)
 
 
-def _read_image(path: Path, *, color: bool = False) -> npt.NDArray[Any]:
+def no_image(path: Path, data: bytes) -> DecodeError:
+    """Return the error for a file of another kind; it names the kind where that is known."""
+    known = unread_format(data[:NEEDED])
+    expected = f"{path}: expected an image (PNG, JPEG, TIFF, BMP, WebP, PNM or .npy), found"
+    if known is None:
+        return DecodeError(f"{expected} {len(data)} bytes that are none; mend the pattern")
+    return DecodeError(f"{expected} {known[0]}, which is not read here; {known[1]}")
+
+
+def read_image(path: Path, *, color: bool = False) -> npt.NDArray[Any]:
+    """Decode an image file as OpenCV does, channels B, G, R, A, or with `color` R, G, B.
+
+    Raises
+    ------
+    DecodeError
+        It is damaged, or with `color` has other than 8 bits.
+    """
     if path.suffix == ".npy":
         _check_shape(read_array_header(path), path)
         return read_array(path)
@@ -125,7 +136,7 @@ def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
     DecodeError
         It is no 8-bit image, is truncated or damaged.
     """
-    return _read_image(path, color=True)
+    return read_image(path, color=True)
 
 
 def read_depth(path: Path) -> npt.NDArray[Any]:
@@ -138,7 +149,7 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
     DecodeError
         It has 8 bits (a picture of depth, not depth), several channels, or is damaged.
     """
-    image = _read_image(path)
+    image = read_image(path)
     if image.ndim != 2:
         raise DecodeError(
             f"{path}: expected depth of one channel, found {image.shape[2]} channels "
@@ -164,7 +175,7 @@ def read_label(path: Path) -> npt.NDArray[Any]:
     DecodeError
         It has other values than whole numbers of 8 or 16 bits, or is damaged.
     """
-    image = _read_image(path)
+    image = read_image(path)
     if image.dtype not in (np.uint8, np.uint16):
         raise DecodeError(f"{path}: expected an 8-bit or 16-bit label, found {image.dtype}")
     if image.ndim == 3:

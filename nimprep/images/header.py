@@ -26,6 +26,8 @@ class ImageHeader:
         "grey", "RGB", "palette", "RGBA", ...
     channels : int
         As decoded.
+    frames : int, optional
+        How many images of this kind the file holds; None = it is one.
     """
 
     height: int
@@ -33,6 +35,7 @@ class ImageHeader:
     bits: int
     kind: str
     channels: int = 1
+    frames: int | None = None
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height} {self.bits}-bit {self.kind}"

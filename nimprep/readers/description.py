@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from nimprep.frame import LabelClass
+from nimprep.images import Layout, Raw
 from nimprep.splits import SplitName
 
 Missing = Literal["error", "skip", "none"]
@@ -18,17 +19,6 @@ Missing = Literal["error", "skip", "none"]
 Color = tuple[int, int, int]
 Invalid = float | tuple[float | None, float | None]
 """A raw value, or the first and the last of a range; None = no bound."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Raw:
-    """Describe a file of bare numbers, row by row."""
-
-    dtype: str
-    width: int
-    height: int
-    channels: int = 1
-    header_bytes: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +46,17 @@ class PlaneSource:
     channel: str | int | None = None
     byte_order: Literal["little", "big", "swapped"] | None = None
     missing: Missing = "error"
+
+    @property
+    def layout(self) -> Layout:
+        """How such a file is read."""
+        return Layout(
+            key=self.key,
+            axes=self.axes,
+            raw=self.raw,
+            channel=self.channel,
+            byte_order=self.byte_order,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

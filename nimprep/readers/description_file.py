@@ -8,6 +8,7 @@ from typing import Any
 
 from nimprep.errors import LayoutError
 from nimprep.frame import IGNORE_LABEL, LabelClass
+from nimprep.images import Raw
 from nimprep.readers.description import (
     CameraSource,
     ColorSource,
@@ -18,7 +19,6 @@ from nimprep.readers.description import (
     LabelSource,
     Match,
     PlaneSource,
-    Raw,
     SplitSource,
 )
 from nimprep.schema import check_json, read_json
