@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from nimprep.evaluation.comparison import DIGITS, HEADS, UNDEFINED, Comparison, Method, shown
-from nimprep.evaluation.overlays import draw_frames, worst_frames
+from nimprep.evaluation.outcomes import STYLES, outcome_sample
+from nimprep.evaluation.overlays import DrawnFrame, draw_frames, worst_frames
 from nimprep.evaluation.scores import MEASURES, Evaluation
 from nimprep.files import write_whole
 from nimprep.folders import place_of
 from nimprep.parallel import Progress
 from nimprep.report.page import render_page
+from nimprep.report.pictures import css_color, data_uri, encode_picture
 from nimprep.store.reader import Store, open_store
 from nimprep.text import printable
 
@@ -61,6 +63,11 @@ def write_page(
         "methods": [_method(method) for method in found.methods],
         "groups": _groups(found),
         "worst": [_worst(found, frame_id, drawn[frame_id]) for frame_id in drawn],
+        "legend": _legend(),
+        "classes": [
+            {"name": printable(c.name), "color": css_color(c.color), "id": c.id}
+            for c in store.classes
+        ],
         "by_frame": [_row(found, frame_id) for frame_id in ids],
     }
     sources = (Path(store.path), *(method.predictions for method in found.methods))
@@ -133,7 +140,15 @@ def _row(found: Comparison, frame_id: str) -> dict[str, Any]:
     }
 
 
-def _worst(found: Comparison, frame_id: str, overlays: list[Any]) -> dict[str, Any]:
+def _legend() -> list[dict[str, str]]:
+    """Return a sample of each outcome and its name."""
+    return [
+        {"name": style.name, "uri": data_uri(encode_picture(outcome_sample(outcome), "png"), "png")}
+        for outcome, style in STYLES.items()
+    ]
+
+
+def _worst(found: Comparison, frame_id: str, drawn: DrawnFrame) -> dict[str, Any]:
     pictures = [
         {
             "method": printable(overlay.method) if len(found.methods) > 1 else "",
@@ -141,6 +156,7 @@ def _worst(found: Comparison, frame_id: str, overlays: list[Any]) -> dict[str, A
             "iou": UNDEFINED if overlay.iou is None else f"{_score(overlay.iou)} %",
             "uri": overlay.uri,
         }
-        for overlay in overlays
+        for overlay in drawn.overlays
     ]
-    return {**_row(found, frame_id), "pictures": pictures}
+    sources = {"photograph": drawn.photograph, "label": drawn.label}
+    return {**_row(found, frame_id), **sources, "pictures": pictures}

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from nimprep.errors import ArrayError
 from nimprep.frame import IGNORE_LABEL, LabelClass
-from nimprep.kitti.images import GroundTruth, png_bytes
-from nimprep.kitti.overlay import draw_outcomes, tint
+from nimprep.kitti.images import png_bytes
+from nimprep.kitti.overlay import tint
 
 Picture = npt.NDArray[np.uint8]
 """(H, W, 3), channels R, G, B."""
@@ -170,23 +170,6 @@ def label_picture(
         if value != BACKGROUND:
             tint(drawn, label == value, color)
     return drawn
-
-
-def outcome_picture(
-    rgb: Picture,
-    predicted: npt.NDArray[np.bool_],
-    actual: npt.NDArray[np.bool_],
-    counted: npt.NDArray[np.bool_],
-) -> Picture:
-    """Tint one class's outcomes: true positives green, false negatives red, false positives blue.
-
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-    predicted, actual, counted : (H, W) bool
-        Pixels called this class, pixels that are, and pixels that take part (not ignored).
-    """
-    return draw_outcomes(rgb, predicted, GroundTruth(positive=actual, evaluated=counted))
 
 
 def shrink(image: Picture, width: int) -> Picture:

@@ -75,15 +75,24 @@ def test_hits_are_green_misses_red_and_inventions_blue(tmp_path: Path) -> None:
     guess[80:] = 1
     write_png(tmp_path / "a" / "000000.png", guess)
     found = compare_predictions(store, [tmp_path / "a"])
-    (overlay,) = draw_frames(store, found, ["000000"], None)["000000"]
+    drawn = draw_frames(store, found, ["000000"], None)["000000"]
+    (overlay,) = drawn.overlays
     assert (overlay.method, overlay.class_name) == ("a", "drivable area")
     assert overlay.iou == 32 / 96
-    picture = decoded(overlay.uri)
+    # Four times as large as the frame, so that stripes have room.
+    assert decoded(overlay.uri).shape == (384, 512, 3)
+    picture = decoded(overlay.uri).reshape(96, 4, 128, 4, 3).mean(axis=(1, 3))
     strongest = {"missed": (24, 16, 0), "hit": (24, 48, 1), "made up": (24, 80, 2)}
     for what, (v, u, channel) in strongest.items():
         red_green_blue = picture[v - 8 : v + 8, u - 8 : u + 8].mean(axis=(0, 1))
         others = np.delete(red_green_blue, channel)
         assert red_green_blue[channel] > others.max() + 80, what
+    # The photograph is as it was, the label in its class's colour on grey.
+    np.testing.assert_allclose(decoded(drawn.photograph), 128, atol=12)
+    label = decoded(drawn.label).reshape(96, 4, 128, 4, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(
+        label[20, 20], np.mean([store.classes[1].color, 3 * [118]], 0), atol=12
+    )
     for v, u in ((60, 40), (90, 40)):  # right, and ignored: as photographed
         np.testing.assert_allclose(picture[v - 6 : v + 6, u - 8 : u + 8], 128, atol=12)
 
@@ -96,8 +105,12 @@ def test_the_page_stands_alone_and_says_what_was_scored(folders: Path, tmp_path:
     page = out.read_text(encoding="utf-8")
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)
     assert "://" not in re.sub(r"data:image/webp;base64,[^\"]*", "", page)
-    # Two frames, two classes, two methods.
-    assert page.count("<img") == page.count('src="data:image/webp') == 8
+    # Two frames: photograph, label, and two classes by two methods.
+    assert page.count('src="data:image/webp') == 2 * (2 + 4)
+    # And a sample of each outcome in the legend.
+    assert page.count("<img") == 2 * (2 + 4) + 3
+    for said in ("missed: red, striped", "made up: blue, dotted", "Photograph", "Label"):
+        assert said in page
     assert page.count("<article") == 2
     assert 'class="number best">100.00<' in page
     found = compare_predictions(folders / "s.zarr", [folders / "a", folders / "b"])
@@ -115,8 +128,9 @@ def test_the_page_of_one_method_has_its_groups(tmp_path: Path) -> None:
     assert re.search(r"^kitchen +2 +94\.74 ", result.stdout, re.MULTILINE)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert '<th scope="row">kitchen</th>' in page
-    # The store has no photographs: pictures are drawn on grey.
-    assert page.count("<img") == 4
+    # The store has no photographs: pictures are drawn on grey, beside the label alone.
+    assert page.count("<img") == 4 * 2 + 3
+    assert "Photograph of" not in page
     assert "methods" not in page[page.index("<main") :]
 
 

@@ -20,7 +20,6 @@ from nimprep.report.pictures import (
     label_picture,
     normal_picture,
     normal_sphere,
-    outcome_picture,
     shrink,
     viridis,
 )
@@ -110,19 +109,6 @@ def test_labels_tint_the_photograph_and_leave_the_background() -> None:
     ]
     assert (rgb == 100).all()
     assert label_picture(label, CLASSES)[0, 0].tolist() == list(NO_VALUE)
-
-
-def test_outcomes_are_green_red_and_blue_where_they_count() -> None:
-    rgb = np.full((1, 5, 3), 100, np.uint8)
-    predicted = np.array([[True, False, True, False, True]])
-    actual = np.array([[True, True, False, False, True]])
-    counted = np.array([[True, True, True, True, False]])
-    drawn = outcome_picture(rgb, predicted, actual, counted)
-    hit, miss, false_alarm, rejection, outside = drawn[0].tolist()
-    assert hit == [50, 177, 50]
-    assert miss == [177, 50, 50]
-    assert false_alarm == [50, 50, 177]
-    assert rejection == outside == [100, 100, 100]
 
 
 def test_shrinking_takes_the_mean_and_never_enlarges() -> None:
