@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.derive.window_noise import sigma_in_windows
 from nimprep.kernels.inverse_depth_noise import SAMPLES, second_differences
 
 LAGS = (1, 2, 4, 8, 16, 32)
@@ -73,11 +74,12 @@ class _Bends:
 
 
 def estimate_noise(depth_m: npt.NDArray[np.float32], least: float = 0.0) -> DepthNoise:
-    """Estimate the noise of a depth image from second differences of inverse depth.
+    """Estimate the noise of a depth image from inverse depth, which is linear on planes.
 
-    On a plane these are 0 at any lag, so their median tells noise where planes are most of the
-    image; what grows with the lag without end is taken for the shape of the surfaces, not for
-    noise.
+    Its second differences are 0 on a plane at any lag, so that their median tells noise where
+    planes are most of the image. Where they grow with the lag without end, trees and walls are most
+    of it: then noise is what the flattest windows leave of a plane, unless a quadric explains it,
+    which is the shape of surfaces.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ def estimate_noise(depth_m: npt.NDArray[np.float32], least: float = 0.0) -> Dept
     medians = [one.relative for one in bends]
     level = [after < _LEVEL * before for before, after in itertools.pairwise(medians)]
     if True not in level:
-        return NO_NOISE
+        return _in_windows(depth_m, bends, least)
     last = len(level) - 1 - level[::-1].index(True)
     first = last
     while first > 0 and level[first - 1]:
@@ -104,11 +106,20 @@ def estimate_noise(depth_m: npt.NDArray[np.float32], least: float = 0.0) -> Dept
     return DepthNoise(sigma, power, length, relative)
 
 
+def _in_windows(depth_m: npt.NDArray[np.float32], bends: list[_Bends], least: float) -> DepthNoise:
+    """Return the noise that windows tell of, at every distance alike."""
+    sigma = sigma_in_windows(depth_m) if bends else 0.0
+    noise = _of_sigma(bends, sigma) if sigma > 0 else NO_NOISE
+    return noise if noise.relative > least else NO_NOISE
+
+
 def noise_of_sigma(depth_m: npt.NDArray[np.float32], sigma: float) -> DepthNoise:
     """Return the noise of one standard deviation of inverse depth, 1/m, at every distance."""
     bends = _bends(depth_m) if sigma > 0 else []
-    if not bends:
-        return NO_NOISE
+    return _of_sigma(bends, sigma) if bends else NO_NOISE
+
+
+def _of_sigma(bends: list[_Bends], sigma: float) -> DepthNoise:
     relative = sigma * float(np.median(1 / bends[0].inverse))
     reached = relative * _MEDIAN_OF_BEND * _APART
     return DepthNoise(sigma, 0, _length(bends, reached), relative)

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nimprep import Camera
+from nimprep import Camera, estimate_normals
 from nimprep.derive.noise import NO_NOISE, estimate_noise, noise_of_sigma
+from nimprep.derive.window_noise import sigma_in_windows
+from nimprep.kitti.calibration import read_calibration
+from nimprep.kitti.depth import frame_depth
+from nimprep.kitti.images import read_ground_truth
+from nimprep.kitti.layout import list_road_files
+from nimprep.readers import open_reader
 from nimprep.synthetic.sensor import _correlated_noise
 from tests.derive.test_normals import plane_depth, unit
 
@@ -68,11 +74,12 @@ def test_clutter_is_no_noise():
     assert estimate_noise(depth) == NO_NOISE
 
 
-def test_rough_ground_whose_steps_grow_with_the_lag_is_no_noise():
+def test_ground_whose_steps_grow_with_the_lag_is_no_noise():
     frequency = np.hypot(np.fft.fftfreq(256)[:, None], np.fft.fftfreq(256))
     frequency[0, 0] = np.inf
-    # A fractal surface of Hurst exponent 0.7: second differences grow 1.6 times an octave.
-    spectrum = np.fft.fft2(np.random.default_rng(0).normal(size=(256, 256))) / frequency**1.7
+    # Second differences grow 2.8 times an octave. Rougher surfaces cannot be told from the errors
+    # of a stereo camera, which grow 1.4 to 2 times.
+    spectrum = np.fft.fft2(np.random.default_rng(0).normal(size=(256, 256))) / frequency**2.5
     ground = np.real(np.fft.ifft2(spectrum))
     depth = (5 + 0.1 * ground / ground.std()).astype(np.float32)
     assert estimate_noise(depth) == NO_NOISE
@@ -90,3 +97,56 @@ def test_noise_that_is_given_is_taken_and_its_length_measured():
     assert (found.sigma, found.power, found.length) == (1e-3, 0, 1)
     assert noise_of_sigma(depth, 0) == NO_NOISE
     assert noise_of_sigma(np.zeros((50, 60), np.float32), 1e-3) == NO_NOISE
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 1e-3, 1e-2])
+def test_windows_measure_errors_about_planes_between_trees_and_walls(sigma):
+    rng = np.random.default_rng(0)
+    depth = plane_depth(unit((0.1, -1, -0.4)), 1.5, Camera.from_fov(69.4, 640, 480))
+    jumps = rng.uniform(2, 30, (60, 80))[:480, np.arange(640) // 8]
+    depth = np.where(np.arange(480)[:, None] < 300, np.repeat(jumps, 8, axis=0), depth)
+    noisy = with_error(depth, rng.normal(0, sigma, depth.shape))
+    # 1.4 times what the flattest fifth leaves, which is a little less than all of it.
+    assert sigma_in_windows(noisy) == pytest.approx(1.4 * sigma, rel=0.06)
+
+
+def road_angle(depth_m, camera, road, **how):
+    """Return the median angle, degrees, of a road's normals to their median."""
+    normals = estimate_normals(depth_m, camera, **how)[road & (depth_m > 0)]
+    middle = np.median(normals, axis=0)
+    cosines = np.clip(normals @ middle / np.linalg.norm(middle), -1, 1)
+    return np.degrees(np.median(np.arccos(cosines)))
+
+
+def test_real_stereo_has_noise_and_its_roads_become_planes(reference_data):
+    frames = [
+        files
+        for files in list_road_files(reference_data / "kitti_road")
+        if files.split == "training" and files.right_image.is_file()
+    ]
+    assert len(frames) == 3
+    for files in frames:
+        depth = frame_depth(files, "stereo")
+        found = estimate_noise(depth)
+        assert 8e-4 < found.sigma < 1.3e-3
+        truth = read_ground_truth(files.ground_truth("road"))
+        camera = read_calibration(files.calibration).camera(*depth.shape)
+        road = truth.evaluated & truth.positive
+        assert road_angle(depth, camera, road) > 9
+        assert road_angle(depth, camera, road, method="nim-edge") < 1.5
+
+
+def test_windows_find_the_noise_of_a_d415_too(reference_data):
+    frame = open_reader(reference_data / "gmrp").read("000001")
+    sigma = sigma_in_windows(frame.depth_m)
+    assert 5e-3 < sigma < 7e-3
+    how = {"method": "nim-edge", "noise": sigma}
+    assert road_angle(frame.depth_m, frame.camera, frame.label == 1, **how) < 2
+
+
+@pytest.mark.parametrize("name", ["android", "demo"])
+def test_clean_curved_scenes_have_no_noise(reference_data, name):
+    path = reference_data / "normals_3f2n" / name / "depth.bin"
+    depth = np.fromfile(path, np.float32).reshape(480, 640)
+    depth[depth == 1] = 0
+    assert estimate_noise(depth) == NO_NOISE

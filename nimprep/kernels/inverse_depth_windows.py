@@ -1,0 +1,73 @@
+"""Moments of inverse depth in square windows: what planes and quadrics are fitted to them by."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import float32, float64, int64, types, void
+
+from nimprep.compilation.decorator import kernel
+
+_DEPTH = types.Array(float32, 2, "C", readonly=True)
+
+DEGREE = 4
+"""Of the moments: those of x**a * y**b with a + b up to it, in the order of `MOMENTS`."""
+
+MOMENTS = [(a, b) for a in range(DEGREE + 1) for b in range(DEGREE + 1 - a)]
+"""The exponents (a, b)."""
+
+WIDTH = DEGREE + 1
+
+
+@kernel(void(_DEPTH, int64[:, ::1], int64, int64, float64[:, :, :, ::1], float64[:, ::1]))
+def window_moments(
+    depth_m: npt.NDArray[np.float32],
+    centres: npt.NDArray[np.int64],
+    half: int,
+    step: int,
+    moments: npt.NDArray[np.float64],
+    sums: npt.NDArray[np.float64],
+) -> None:
+    """Write sums over the pixels with depth of windows of every `step`-th pixel.
+
+    x and y run from -1 to 1 over a window, r is inverse depth less that of the window's first
+    pixel with depth, which keeps what is small beside it. Of each window: in moments[k, 0] those
+    of x**a * y**b and in moments[k, 1] those of r * x**a * y**b (a + b up to 2 are written), at
+    [a, b]; in sums[k] those of r**2, and the inverse depth that was taken off.
+    """
+    for k in range(centres.shape[0]):
+        v0, u0 = centres[k, 0], centres[k, 1]
+        moments[k] = 0.0
+        squares, first = 0.0, 0.0
+        for j in range(-half, half + 1, step):
+            y = j / half
+            row = np.zeros(WIDTH)
+            r_row = np.zeros(3)
+            for i in range(-half, half + 1, step):
+                z = depth_m[v0 + j, u0 + i]
+                if not z > 0:
+                    continue
+                r = 1 / float(z)
+                if first == 0:
+                    first = r
+                r -= first
+                x = i / half
+                x2 = x * x
+                row[0] += 1.0
+                row[1] += x
+                row[2] += x2
+                row[3] += x2 * x
+                row[4] += x2 * x2
+                r_row[0] += r
+                r_row[1] += r * x
+                r_row[2] += r * x2
+                squares += r * r
+            power = 1.0
+            for b in range(WIDTH):
+                for a in range(WIDTH - b):
+                    moments[k, 0, a, b] += row[a] * power
+                if b < 3:
+                    for a in range(3 - b):
+                        moments[k, 1, a, b] += r_row[a] * power
+                power *= y
+        sums[k, 0], sums[k, 1] = squares, first
