@@ -81,7 +81,8 @@ class Frame:
     cam_to_road : (3, 4) float64, optional
         Transform from the camera frame to the road frame, metres.
     others : mapping of str to array
-        The images of further modalities, by name.
+        The images of further modalities, by name; of planes (`nimprep.plane`) the numbers, (H, W),
+        in their units: float32, NaN = none, or uint8 that is as it is stored.
 
     Raises
     ------
@@ -115,6 +116,7 @@ class Frame:
                 if not hasattr(self, place):
                     place, plain = "others", {**self.others, name: plain}
                 object.__setattr__(self, place, plain)
+            self._take_masks_off_planes()
             if self.depth_m is not None:
                 # Here, as its kernels take their time to load.
                 from nimprep.depth import checked_depth
@@ -164,11 +166,22 @@ class Frame:
             There is no such modality.
         """
         if name not in modality.MODALITIES:
-            known = ", ".join(modality.MODALITIES)
+            if name in self.others:
+                return self.others[name]
+            known = ", ".join(dict.fromkeys((*modality.MODALITIES, *self.others)))
             raise ArrayError(f"image: expected one of {known}, found {name!r}")
         attribute = modality.MODALITIES[name].attribute or name
         found: npt.NDArray[Any] | None = getattr(self, attribute, self.others.get(name))
         return found
+
+    def _take_masks_off_planes(self) -> None:
+        masked = {
+            name: np.where(np.ma.getmaskarray(image), np.nan, image.data).astype(np.float32)
+            for name, image in self.others.items()
+            if isinstance(image, np.ma.MaskedArray)
+        }
+        if masked:
+            object.__setattr__(self, "others", {**self.others, **masked})
 
 
 def _plain(record: modality.Modality, image: np.ma.MaskedArray[Any, Any]) -> Any:

@@ -9,13 +9,14 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-Values = Literal["colors", "levels", "vectors", "numbers", "classes"]
+Values = Literal["colors", "levels", "vectors", "numbers", "measures", "classes"]
 """What a pixel holds::
 
     colors   three uint8
     levels   three uint8; all 0 = none
     vectors  three integers, a unit vector times the largest there is; all 0 = none
     numbers  one integer, a number times `steps`; `fill` = none
+    measures one integer; times `scale` plus `offset` it is the number; `fill` = none, if `has_none`
     classes  the id of a class
 """
 
@@ -93,8 +94,12 @@ class Modality:
         What else `dtype` can be in a store (see `as_dtype`); empty = nothing.
     steps : int
         Stored integers are the values times this, rounded.
+    scale, offset : float
+        Of measures, which have them in place of steps.
     fill : int
         What is stored where there is none, and in the padding.
+    has_none : bool
+        Whether measures can be none: then `fill` is no number, and else one like all others.
     beyond : {"nearest", "none"}
         What numbers become that the integers cannot say.
     resize : Resize
@@ -129,7 +134,10 @@ class Modality:
     dtype: str = "uint8"
     dtypes: tuple[str, ...] = ()
     steps: int = 1
+    scale: float = 1
+    offset: float = 0
     fill: int = 0
+    has_none: bool = True
     beyond: Literal["nearest", "none"] = "nearest"
     resize: Resize = "nearest"
     flip: Literal["mirror", "mirror and negate x"] = "mirror"
@@ -153,13 +161,21 @@ class Modality:
         return (height, width, len(self.channels)) if self.channels else (height, width)
 
     @property
+    def is_plain(self) -> bool:
+        """Whether measures are bytes that are the numbers themselves; they stay bytes in memory."""
+        same = (self.scale, self.offset) == (1, 0) and not self.has_none
+        return self.values == "measures" and same and self.dtype == "uint8"
+
+    @property
     def absent(self) -> float:
-        """What an image in memory is where there is none."""
+        """What an image in memory is where there is none, and in padding."""
+        if self.values == "measures":
+            return float("nan") if self.has_none else self.fill * self.scale + self.offset
         return float("nan") if self.values == "numbers" and self.fill else self.fill
 
     def blank(self, size: tuple[int, int]) -> npt.NDArray[Any]:
         """Return an image in memory of (height, width) that has nothing anywhere."""
-        measured = self.values in ("vectors", "numbers")
+        measured = self.values in ("vectors", "numbers", "measures") and not self.is_plain
         dtype = np.float32 if measured else np.uint8
         return np.full(self.image_shape(*size), self.absent, dtype)
 
@@ -306,12 +322,18 @@ MODALITIES: dict[str, Modality] = {
         ),
     )
 }
-"""Every image a frame can hold, in the order in which they are listed everywhere."""
+"""Every kind of image the tool knows, in the order in which they are listed everywhere.
+
+A dataset may have others, which it describes itself: see `nimprep.plane`.
+"""
 
 
 def given_for(names: Iterable[str]) -> set[str]:
-    """Return the modalities of a dataset that these are, or are made from."""
-    derived = {name: MODALITIES[name].derived for name in names}
+    """Return the modalities of a dataset that these are, or are made from.
+
+    Names that the table has not are a dataset's own: see `nimprep.plane`.
+    """
+    derived = {name: MODALITIES[name].derived if name in MODALITIES else None for name in names}
     return {
         s
         for name, derivation in derived.items()

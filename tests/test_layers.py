@@ -15,7 +15,7 @@ PACKAGE = Path(nimprep.__file__).parent
 LAYERS = [
     ["errors", "text", "compilation"],
     ["kernels", "folders"],
-    ["files", "arrays", "depth", "parallel", "options", "camera", "modality", "frame"],
+    ["files", "arrays", "depth", "parallel", "options", "camera", "modality", "plane", "frame"],
     ["schema"],
     ["images", "splits", "metrics"],
     ["derive"],

@@ -97,8 +97,9 @@ def test_an_image_of_a_frame_is_found_by_its_modalitys_name() -> None:
     taken = Frame("a", camera, depth_m=depth, others={"normal": thermal, "thermal": thermal})
     assert taken.image("depth") is depth
     assert taken.image("normal") is None
-    with pytest.raises(ArrayError, match=r"image: expected one of rgb, .*, found 'thermal'"):
-        taken.image("thermal")
+    assert taken.image("thermal") is thermal
+    with pytest.raises(ArrayError, match=r"image: expected one of rgb, .*thermal, found 'infrared"):
+        taken.image("infrared")
 
 
 def test_no_modality_has_the_name_of_what_else_a_frame_or_a_store_has() -> None:

@@ -13,6 +13,7 @@ from nimprep.errors import DecodeError, LayoutError, StoreError
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES
 from nimprep.options import options_of
+from nimprep.plane import definition_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import Margins
 from nimprep.store.reader import Store
@@ -93,7 +94,7 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
     Raises
     ------
     LayoutError
-        The dataset or its classes are not the store's.
+        The dataset, its classes or its planes are not the store's.
     StoreError
         A frame is larger than the store's images.
     """
@@ -108,6 +109,7 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
             f"{reader.root}: expected the store's classes {named(store.classes)}, found "
             f"{named(reader.info.classes)}; convert them into a store of their own"
         )
+    _check_planes(store, reader)
     crop = Margins(**store.about.crop)
     height, width = padded_size(store)
     for frame_id in ids:
@@ -121,6 +123,19 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
                 f"{store.path}: expected frames of at most {width}x{height} pixels, found "
                 f"{shape[1]}x{shape[0]} in frame {frame_id!r}; convert everything anew, or into a "
                 "store of its own and merge the two"
+            )
+
+
+def _check_planes(store: Store, reader: Reader) -> None:
+    """Raise `LayoutError` where a dataset's planes are not those that a store has of it."""
+    there = {plane.name: definition_of(plane) for plane in reader.info.planes}
+    for plane in store.planes:
+        wanted, found = definition_of(plane), there.get(plane.name)
+        if found != wanted:
+            raise LayoutError(
+                f"{reader.root}: expected the plane {plane.name!r} {wanted}, which the store has, "
+                f"found {found or 'none of that name'}; describe it so, or convert into a store of "
+                "its own"
             )
 
 

@@ -166,7 +166,7 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     counts = np.zeros(DEPTHS, dtype=np.int64)
     if "depth" in stored:
         count_values(stored["depth"], counts)
-    sums = channel_sums({n: i for n, i in stored.items() if n in layout.modalities})
+    sums = channel_sums({n: stored[n] for n in layout.modalities}, layout.planes)
     pixels = class_pixels(stored.get("label"), [entry.id for entry in layout.classes])
     return EncodedFrame(_facts(frame, gravity, sums, pixels, chunks, digest), chunks, counts)
 
@@ -201,6 +201,7 @@ def _stored_images(
     """Return the frame's images as the store holds them, and the direction of gravity."""
     given = {n: frame.image(n) for n, m in MODALITIES.items() if m.derived is None}
     stored = {n: to_integers(layout.modality(n), i) for n, i in given.items() if i is not None}
+    stored |= _stored_planes(frame, layout)
     missing = None
     if "depth" in stored:
         # From here on depth is what the store says it is: what is derived can be made again.
@@ -211,6 +212,21 @@ def _stored_images(
     derived = derive(frame, missing, layout.modalities, recipe)
     stored |= {n: to_integers(layout.modality(n), i) for n, i in derived.images.items()}
     return stored, derived.gravity
+
+
+def _stored_planes(frame: Frame, layout: StoreLayout) -> dict[str, npt.NDArray[Any]]:
+    stored = {}
+    for plane in layout.planes:
+        image = frame.others.get(plane.name)
+        if image is None:
+            continue
+        if image.shape != frame.camera.shape:
+            raise ArrayError(
+                f"{plane.name}: expected a number per pixel, {frame.camera.shape} as the frame's "
+                f"camera has, found {image.shape}; give it the frame's size"
+            )
+        stored[plane.name] = to_integers(plane, image)
+    return stored
 
 
 def _with_depth(frame: Frame, millimetres: npt.NDArray[np.uint16]) -> Frame:

@@ -184,6 +184,7 @@ def _layout(stores: Sequence[Store]) -> StoreLayout:
         normal_dtype=normal_dtype(first),
         codec=codec,
         shard_length=shard_length(first),
+        planes=first.planes,
     )
 
 

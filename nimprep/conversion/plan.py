@@ -14,8 +14,9 @@ from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import Records, depth_percentiles, source_digest
 from nimprep.conversion.sources import FileState
 from nimprep.derive.recipe import Recipe
-from nimprep.errors import LayoutError, StoreError
+from nimprep.errors import ArrayError, LayoutError, OptionError, StoreError
 from nimprep.modality import MODALITIES, Modality, given_for
+from nimprep.plane import by_name, definition_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.schema import schema_problems
@@ -91,6 +92,7 @@ class Job:
             "margins": None if self.margins is None else asdict(self.margins),
             "files": self.states,
             "base": None if self.base is None else asdict(self.base),
+            "planes": {plane.name: definition_of(plane) for plane in self.layout.planes},
         }
 
 
@@ -117,26 +119,35 @@ class Plan:
 
 
 def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
-    """Choose what to store, in the order in which it is listed everywhere.
+    """Choose what to store, in the order in which it is listed everywhere: planes last.
 
     Raises
     ------
     LayoutError
-        A modality is asked for that there is not.
+        A modality is asked for that the dataset has not; or two planes have one name.
+    OptionError
+        There is none of that name.
     StoreError
         The store could not be opened: its attributes' schema does not know a modality.
     """
     given = {"rgb", "depth", *(["label"] if reader.info.classes else [])}
-    available = [name for name in MODALITIES if given_for([name]) <= given]
-    asked = options.modalities or tuple(n for n in available if not MODALITIES[n].on_request)
+    planes = _planes(reader)
+    every = MODALITIES | planes
+    available = [name for name in MODALITIES if given_for([name]) <= given] + list(planes)
+    asked = options.modalities or tuple(n for n in available if not every[n].on_request)
     for name in asked:
         if name not in available:
+            if name not in every:
+                raise OptionError(
+                    f"--modalities: expected some of {', '.join(available).replace('_', '-')}, "
+                    f"found {name!r}; choose among those"
+                )
             hint = "" if reader.info.classes else " where there are no labels"
             raise LayoutError(
                 f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}; "
                 "choose among those"
             )
-    chosen = {n: m.as_dtype(options.normal_dtype) for n, m in MODALITIES.items() if n in asked}
+    chosen = {n: m.as_dtype(options.normal_dtype) for n, m in every.items() if n in asked}
     described = describe_modalities(chosen.values(), options.recipe)
     if problems := schema_problems(described, "store", "modalities"):
         raise StoreError(
@@ -144,6 +155,13 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
             f"found {problems[0]}; describe them there"
         )
     return tuple(chosen)
+
+
+def _planes(reader: Reader) -> dict[str, Modality]:
+    try:
+        return by_name(reader.info.planes)
+    except ArrayError as error:
+        raise LayoutError(f"{reader.root}: {error}") from error
 
 
 WASTE = 2
@@ -203,6 +221,7 @@ def plan_layout(reader: Reader, options: ConvertOptions, *, alone: bool = True) 
         normal_dtype=options.normal_dtype,
         codec=options.codec,
         shard_length=options.shard_length,
+        planes=tuple(plane for name, plane in _planes(reader).items() if name in modalities),
     )
 
 
@@ -254,7 +273,9 @@ def frame_metadata(reader: Reader, ids: Sequence[str]) -> dict[str, Any]:
 def describe_modalities(modalities: Iterable[Modality], recipe: Recipe) -> dict[str, Any]:
     """Return what a store's attributes say of its modalities, as it holds them."""
     return {
-        m.name: {**recipe.describe(m.name), **({"dtype": m.dtype} if m.dtypes else {})}
+        m.name: {"method": "source", "parameters": {}, "kind": "plane", **definition_of(m)}
+        if m.values == "measures"
+        else {**recipe.describe(m.name), **({"dtype": m.dtype} if m.dtypes else {})}
         for m in modalities
     }
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 
 from nimprep.frame import Frame, LabelClass
 from nimprep.images import read_header
-from nimprep.modality import MODALITIES
+from nimprep.modality import MODALITIES, Modality
 from nimprep.splits import SplitName, SplitRule
 
 CalibrationOrigin = Literal["file", "nominal", "user"]
@@ -31,6 +31,8 @@ class DatasetInfo:
         One line each, for the user to read: assumptions that were made.
     split_by : SplitRule or None
         The rule that is usual for the dataset; None = no other than the default.
+    planes : tuple of Modality
+        What frames have in `others` beside the modalities that the tool knows: see `nimprep.plane`.
     """
 
     name: str
@@ -38,6 +40,7 @@ class DatasetInfo:
     calibration: CalibrationOrigin
     notes: tuple[str, ...] = ()
     split_by: SplitRule | None = None
+    planes: tuple[Modality, ...] = ()
 
 
 class Reader(Protocol):
@@ -83,7 +86,7 @@ class Reader(Protocol):
         ...
 
     def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
-        """Return the frame: rgb, depth_m, label where labels are read, camera, group.
+        """Return the frame: rgb, depth_m, label where labels are read, planes, camera, group.
 
         Only the images that `modalities` names are decoded; the others are None.
 

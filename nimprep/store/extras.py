@@ -95,7 +95,7 @@ def _known_attributes(attributes: dict[str, Any]) -> dict[str, set[str]]:
     modalities = {}
     if isinstance(described, dict):
         whole = {name: d for name, d in described.items() if isinstance(d, dict)}
-        with suppress(KeyError, TypeError, ValueError):
+        with suppress(KeyError, TypeError, ValueError, StoreError):
             modalities = stored_modalities(whole)
     specs = {name: image_spec(modality, ()) for name, modality in modalities.items()}
     return {name: set(spec.attributes) for name, spec in {**specs, **table_specs()}.items()}

@@ -13,6 +13,7 @@ from nimprep.camera import Camera
 from nimprep.errors import StoreError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
+from nimprep.plane import from_plane, to_plane
 from nimprep.store.buffers import empty
 from nimprep.store.images import ImageArray
 
@@ -29,6 +30,8 @@ def to_integers(modality: Modality, image: npt.NDArray[Any]) -> npt.NDArray[Any]
         vectors = np.ascontiguousarray(image, np.float32)
         quantisation.normals_to_integers(vectors, np.float32(modality.steps), out)
         return out
+    if modality.values == "measures":
+        return to_plane(modality, image)
     return _rounded(modality, image) if modality.values == "numbers" else image
 
 
@@ -50,7 +53,8 @@ def _rounded(modality: Modality, numbers: npt.NDArray[np.float32]) -> npt.NDArra
 def from_integers(modality: Modality, stored: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return an image of a store as a `Frame` has it.
 
-    Numbers are float32; where there is none, they are 0 if the integers are unsigned, NaN if not.
+    Numbers are float32; where there is none, they are 0 if the integers are unsigned, NaN if not,
+    and NaN in planes.
     Vectors are float32 of unit length. All else stays as it is.
     """
     if modality.values == "vectors":
@@ -59,6 +63,8 @@ def from_integers(modality: Modality, stored: npt.NDArray[Any]) -> npt.NDArray[A
         out = empty(stored.shape, np.float32)
         quantisation.normals_from_integers(np.ascontiguousarray(stored), out)
         return out
+    if modality.values == "measures":
+        return from_plane(modality, stored)
     if modality.values != "numbers":
         return stored
     numbers = empty(stored.shape, np.float32)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from nimprep.camera import Camera
 from nimprep.errors import StoreError
 from nimprep.frame import Frame, LabelClass
+from nimprep.modality import MODALITIES, Modality
 from nimprep.schema import MAX_BYTES, check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
 from nimprep.store.access import storage_from
@@ -23,7 +24,7 @@ from nimprep.store.frames import StoredFrame, check_size
 from nimprep.store.images import ImageArray, OwnChunks
 from nimprep.store.location import Place
 from nimprep.store.metadata import ROOT, consolidated, root_from
-from nimprep.store.spec import stored_modalities
+from nimprep.store.spec import WITHOUT_CHECKSUMS, stored_modalities
 from nimprep.store.storage import Storage
 
 _TRIES = 5
@@ -50,6 +51,8 @@ class Store:
         What the labels mean; empty where the store has none.
     modalities : tuple of str
         The images frames have here.
+    planes : tuple of Modality
+        Those of all that it holds that are the dataset's own: see `nimprep.plane`.
     tables : Tables
         What the store says of each frame.
     arrays : dict of str to ImageArray
@@ -93,6 +96,12 @@ class Store:
             raise StoreError(f"{path}: attributes: {problem}")
         about = StoreAttributes.from_json(attributes)
         stored = stored_modalities(about.modalities)
+        self.planes = tuple(m for name, m in stored.items() if name not in MODALITIES)
+        if self.planes and about.format_version == WITHOUT_CHECKSUMS:
+            raise StoreError(
+                f"{path}: attributes: expected no planes in format {WITHOUT_CHECKSUMS}, found "
+                f"{self.planes[0].name!r}; convert it again"
+            )
         self.modalities = tuple(stored if modalities is None else modalities)
         for name in self.modalities:
             if name not in stored:
@@ -146,6 +155,21 @@ class Store:
 
     def __repr__(self) -> str:
         return f"<nimprep store {self.path}: {len(self)} frames, {', '.join(self.modalities)}>"
+
+    def modality(self, name: str) -> Modality:
+        """Return all that is known of one of the store's modalities, as it holds it.
+
+        Raises
+        ------
+        StoreError
+            It was not opened with such.
+        """
+        if name not in self.arrays:
+            raise StoreError(
+                f"{self.path}: expected one of {', '.join(self.modalities)}, found {name!r}; "
+                "convert again with --modalities"
+            )
+        return self.arrays[name].modality
 
     def camera(self, index: int) -> Camera:
         """Return the camera of a frame, of the frame's own size."""

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from nimprep.errors import StoreError
+from nimprep.errors import ArrayError, StoreError
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
+from nimprep.plane import by_name, plane_from
 
 FORMAT_VERSION = "1.1"
 
@@ -58,12 +59,25 @@ class ChunkCodec:
 
 
 def stored_modalities(described: Mapping[str, Any]) -> dict[str, Modality]:
-    """Return the modalities that a store's attributes describe, as it holds them, in order."""
-    return {
+    """Return the modalities that a store's attributes describe, as it holds them, in order.
+
+    Those that every store can have come first, in the order of their table; then planes by name.
+
+    Raises
+    ------
+    StoreError
+        A plane is described that there cannot be.
+    """
+    known = {
         name: modality.as_dtype(described[name].get("dtype", modality.dtype))
         for name, modality in MODALITIES.items()
         if name in described
     }
+    try:
+        planes = [plane_from(name, described[name]) for name in described if name not in known]
+    except ArrayError as error:
+        raise StoreError(f"attributes: modalities: {error}") from error
+    return known | by_name(planes)
 
 
 def image_spec(modality: Modality, classes: tuple[LabelClass, ...]) -> ArraySpec:
@@ -73,7 +87,10 @@ def image_spec(modality: Modality, classes: tuple[LabelClass, ...]) -> ArraySpec
         attributes["units"] = modality.units
     if modality.steps > 1:
         attributes["scale_factor"] = 1 / modality.steps
-    if modality.values == "numbers":
+    if modality.values == "measures" and (modality.scale, modality.offset) != (1, 0):
+        attributes["scale_factor"] = modality.scale
+        attributes["add_offset"] = modality.offset
+    if modality.values == "numbers" or (modality.values == "measures" and modality.has_none):
         attributes["_FillValue"] = modality.fill
     if modality.channels:
         attributes["channels"] = list(modality.channels)

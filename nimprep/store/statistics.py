@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from nimprep.errors import StoreError
 from nimprep.frame import IGNORE_LABEL
-from nimprep.modality import MODALITIES
+from nimprep.modality import MODALITIES, Modality
 from nimprep.parallel import map_in_order
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ ROWS: dict[str, slice] = {"rgb": slice(0, 3), "depth": slice(3, 4), "hha": slice
 """Which rows of a frame's sums belong to a modality; a row per channel."""
 
 SUMS_SHAPE = (7, 3)
-"""Of one frame's sums: channels, then count, sum and sum of squares."""
+"""Of one frame's sums: channels, then count, sum and sum of squares; planes have rows below."""
 
 
 @dataclass(frozen=True)
@@ -36,32 +36,40 @@ class ChannelStatistics:
     Attributes
     ----------
     mean, std : tuple of float
-        Per channel: rgb and hha in 0-255, depth in metres.
+        Per channel: rgb and hha in 0-255, depth in metres, planes in their units.
     """
 
     mean: tuple[float, ...]
     std: tuple[float, ...]
 
 
-def channel_sums(images: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.int64]:
+def channel_sums(
+    images: Mapping[str, npt.NDArray[Any]], planes: Sequence[Modality] = ()
+) -> npt.NDArray[np.int64]:
     """Add up one frame's images.
 
     Parameters
     ----------
     images : mapping of modality to array
         As the store holds them, without padding, C-contiguous: rgb and hha (H, W, 3) uint8, depth
-        (H, W) uint16 millimetres. Others are passed over.
+        (H, W) uint16 millimetres, planes (H, W) of their dtype. Others are passed over.
+    planes : sequence of Modality
+        The store's, in order.
 
     Returns
     -------
-    (7, 3) int64
-        Per channel (red, green, blue, depth, the three of HHA) the number of pixels, the sum of
-        their values and the sum of their squares. Pixels without depth (0) do not count, nor do
-        those without HHA (all 0). Zeros where the frame lacks the modality.
+    (7 + P, 3) int64
+        Per channel (red, green, blue, depth, the three of HHA, each plane) the number of pixels,
+        the sum of their values and the sum of their squares. Pixels without depth (0) do not
+        count, nor do those without HHA (all 0) and those that a plane says are none. Zeros where
+        the frame lacks the modality.
     """
     from nimprep.kernels.sums import color_sums, depth_sums
 
-    sums = np.zeros(SUMS_SHAPE, dtype=np.int64)
+    sums = np.zeros((SUMS_SHAPE[0] + len(planes), SUMS_SHAPE[1]), dtype=np.int64)
+    for row, plane in zip(sums[SUMS_SHAPE[0] :], planes, strict=True):
+        if plane.name in images:
+            row[:] = _plane_sums(plane, images[plane.name])
     for name in ROWS.keys() & images.keys():
         rows, values = sums[ROWS[name]], MODALITIES[name].values
         if values == "numbers":
@@ -69,6 +77,12 @@ def channel_sums(images: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.int64
         else:
             color_sums(images[name], values == "levels", rows)
     return sums
+
+
+def _plane_sums(plane: Modality, image: npt.NDArray[Any]) -> tuple[int, int, int]:
+    values = image[image != plane.fill] if plane.has_none else image.reshape(-1)
+    wide = values.astype(np.int64)
+    return wide.size, int(wide.sum()), int(wide @ wide)
 
 
 def byte_histogram(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
@@ -125,8 +139,10 @@ def class_pixels_of(store: Store) -> npt.NDArray[np.uint32]:
     return np.stack(list(map_in_order(count, range(len(store)))))
 
 
-def combine_sums(sums: npt.NDArray[np.int64]) -> dict[str, ChannelStatistics]:
-    """Return the statistics of frames from their sums, (N, 7, 3) int64.
+def combine_sums(
+    sums: npt.NDArray[np.int64], planes: Sequence[Modality] = ()
+) -> dict[str, ChannelStatistics]:
+    """Return the statistics of frames from their sums, (N, 7 + P, 3) int64; of planes in units.
 
     Modalities without any pixel are left out. The standard deviation is the population's.
     """
@@ -141,6 +157,11 @@ def combine_sums(sums: npt.NDArray[np.int64]) -> dict[str, ChannelStatistics]:
         # n * sum(x^2) - sum(x)^2 in integers: a difference of floats would lose what matters.
         spread = (math.sqrt(int(n) * int(q) - int(s) ** 2) / int(n) for n, s, q in total[rows])
         statistics[name] = ChannelStatistics(mean, tuple(s / unit for s in spread))
+    for plane, (n, s, q) in zip(planes, total[SUMS_SHAPE[0] :], strict=True):
+        if len(sums) and n:
+            mean = (int(s) / int(n) * plane.scale + plane.offset,)
+            deviation = math.sqrt(int(n) * int(q) - int(s) ** 2) / int(n) * plane.scale
+            statistics[plane.name] = ChannelStatistics(mean, (deviation,))
     return statistics
 
 
@@ -160,4 +181,4 @@ def channel_statistics(store: Store, split: str | None = "train") -> dict[str, C
             f"{store.path}: expected frames in split {split!r} for its statistics, found none; "
             "split the store anew with nimprep split"
         )
-    return combine_sums(store.tables.channel_sums[frames])
+    return combine_sums(store.tables.channel_sums[frames], store.planes)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from nimprep.frame import IGNORE_LABEL
+from nimprep.modality import MODALITIES
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.spec import COORDINATES, FORMAT_VERSION, WITHOUT_CHECKSUMS, ArraySpec
 
@@ -100,7 +102,7 @@ def table_specs(
     Parameters
     ----------
     modalities : sequence of str
-        All that the store has, in the order of `nimprep.frame.MODALITIES`.
+        All that the store has, in the order of `nimprep.frame.MODALITIES`, then planes.
     version : str
         Its format.
     classes : sequence of int
@@ -130,7 +132,18 @@ def table_specs(
         },
         (len(classes) + 1,),
     )
-    return {**TABLES, CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
+    planes = [name for name in modalities if name not in MODALITIES]
+    sums = {"channel_sums": _sums_spec(planes)}
+    return {**TABLES, **sums, CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
+
+
+def _sums_spec(planes: Sequence[str]) -> ArraySpec:
+    """Return the table of sums in a store of these planes: each has a row below those of all."""
+    spec = TABLES["channel_sums"]
+    channels = [*spec.attributes["channels"], *planes]
+    return replace(
+        spec, attributes={**spec.attributes, "channels": channels}, rest=(len(channels), 3)
+    )
 
 
 def table_key(name: str) -> str:

@@ -68,7 +68,7 @@ def _frame_problems(store: Store, index: int, *, recompute: bool) -> list[str]:
         if (image[height:] != fill).any() or (image[:, width:] != fill).any():
             problems.append(f"{name}: expected padding of {fill}, found other values")
         images[name] = np.ascontiguousarray(image[:height, :width])
-    if not np.array_equal(channel_sums(images), store.tables.channel_sums[index]):
+    if not np.array_equal(channel_sums(images, store.planes), store.tables.channel_sums[index]):
         problems.append("channel_sums: expected the images' sums, found others")
     pixels = store.tables.class_pixels
     counted = class_pixels(images.get("label"), store.about.class_ids)

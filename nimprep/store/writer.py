@@ -48,6 +48,8 @@ class StoreLayout:
         A name in `PRESETS`.
     shard_length : int
         Frames per shard.
+    planes : tuple of Modality
+        Those of the modalities that are the dataset's own.
     """
 
     frames: int
@@ -58,9 +60,13 @@ class StoreLayout:
     normal_dtype: str
     codec: Codec
     shard_length: int
+    planes: tuple[Modality, ...] = ()
 
     def modality(self, name: str) -> Modality:
         """Return a modality as the store is to hold it."""
+        for plane in self.planes:
+            if plane.name == name:
+                return plane
         return MODALITIES[name].as_dtype(self.normal_dtype)
 
     def spec(self, modality: str) -> ArraySpec:
@@ -73,7 +79,7 @@ class StoreLayout:
 
     def image_shape(self, modality: str) -> tuple[int, ...]:
         """Return the shape of one padded image: (height, width) or (height, width, 3)."""
-        return MODALITIES[modality].image_shape(self.height, self.width)
+        return self.modality(modality).image_shape(self.height, self.width)
 
 
 def check_target(target: Path, *, overwrite: bool, grows: bool = False) -> None:

@@ -14,6 +14,7 @@ from nimprep.errors import (
     CameraError,
     DecodeError,
     LayoutError,
+    OptionError,
     SplitError,
     StoreError,
 )
@@ -166,7 +167,7 @@ def test_depth_beyond_what_a_store_can_say_is_none(tmp_path: Path) -> None:
     ("options", "error", "words"),
     [
         ({"codec": "tiny"}, ArrayError, "codec"),
-        ({"modalities": ("rgb", "heat")}, ArrayError, "heat"),
+        ({"modalities": ("rgb", "heat")}, OptionError, "heat"),
         ({"workers": 0}, ArrayError, "workers"),
         ({"depth_scale": -1.0}, ArrayError, "depth_scale"),
         ({"camera": "no.json"}, CameraError, r"no\.json"),

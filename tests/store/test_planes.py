@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 import nimprep
 from nimprep.cli import main
-from nimprep.errors import ArrayError
+from nimprep.errors import OptionError
 from nimprep.frame import MODALITIES, ON_REQUEST, PLANES
 from nimprep.schema import schema_problems
 from nimprep.store.info import info_text, store_info
@@ -104,8 +104,8 @@ def test_both_spellings_name_the_modality_and_others_are_refused(raw: Path, tmp_
     assert refused.exit_code == 2
     assert "transformed-disparity" in refused.stderr
     assert nimprep.ConvertOptions(modalities=("transformed-disparity",)).needs_depth
-    with pytest.raises(ArrayError, match="modalities: expected some of"):
-        nimprep.ConvertOptions(modalities=("transformed",))
+    with pytest.raises(OptionError, match="modalities: expected some of"):
+        nimprep.convert(raw, tmp_path / "x", modalities=("transformed",))
 
 
 def test_without_being_named_they_are_not_stored(raw: Path, tmp_path: Path) -> None:
