@@ -74,7 +74,10 @@ def no_image(path: Path, data: bytes) -> DecodeError:
     known = unread_format(data[:NEEDED])
     expected = f"{path}: expected an image (PNG, JPEG, TIFF, BMP, WebP, PNM or .npy), found"
     if known is None:
-        return DecodeError(f"{expected} {len(data)} bytes that are none; mend the pattern")
+        return DecodeError(
+            f"{expected} {len(data)} bytes that are none; "
+            "describe bare numbers by 'raw', or mend the pattern"
+        )
     return DecodeError(f"{expected} {known[0]}, which is not read here; {known[1]}")
 
 

@@ -23,6 +23,7 @@ _COMPRESSIONS = {1: "none", 5: "LZW", 7: "JPEG", 8: "deflate", 32773: "PackBits"
 _MOST_CHANNELS = 4
 _TIFF_WARNINGS = re.compile(r"PIL\.TiffImagePlugin")
 _PNM_START = 1 << 12
+_PFM_START = re.compile(rb"P[Ff]\s+\d+\s+\d+\s+[-+.\deE]+\s")
 
 
 class _Metered(io.BytesIO):
@@ -122,6 +123,11 @@ def _pnm(data: bytes, path: Path) -> ImageHeader:
     from PIL.PpmImagePlugin import PpmImageFile
 
     kind = data[:2]
+    if (start := _PFM_START.match(data)) and b"\r" in start[0]:
+        raise DecodeError(
+            f"{path}: expected a PFM whose header's lines end in LF, "
+            "found a header that ends in CR LF; write it in binary mode"
+        )
     # Pillow has no PFM in colour, which differs by this letter alone.
     image = PpmImageFile(_Metered(kind.replace(b"F", b"f") + data[2:_PNM_START]))
     arguments = image.tile[0][3]

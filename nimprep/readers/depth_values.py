@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.images import read_depth
+from nimprep.errors import DecodeError, OptionError
+from nimprep.images import read_plane
 from nimprep.readers.cameras import GivenCamera
-from nimprep.readers.description import DepthSource
-from nimprep.readers.frames import depth_in_metres
+from nimprep.readers.depth_units import Unit, checked_metres
+from nimprep.readers.description import DepthSource, PlaneSource
 from nimprep.readers.matching import Place
+from nimprep.readers.raw_values import named_none, unpacked_depth
+
+
+def check_scale_option(scale_m: float | None, source: DepthSource | None) -> None:
+    """Raise `OptionError` where metres per unit are given for depth that does not count metres."""
+    if scale_m is not None and source is not None and not source.in_metres:
+        raise OptionError(
+            f"--depth-scale: expected depth in metres per unit, found {source.values}; "
+            "scale it in the description"
+        )
 
 
 def raw_depth(place: Place, source: DepthSource) -> npt.NDArray[Any]:
@@ -22,7 +34,8 @@ def raw_depth(place: Place, source: DepthSource) -> npt.NDArray[Any]:
     DecodeError
         It is damaged, a picture of depth, or not what the description says.
     """
-    return read_depth(place.path)
+    layout = source.layout if source.bytes is None else replace(source.layout, channel=None)
+    return unpacked_depth(read_plane(place.path, layout, place.index), source, place.path)
 
 
 def depth_image(
@@ -32,6 +45,7 @@ def depth_image(
     camera: GivenCamera,
     *,
     scale_m: float | None = None,
+    confidence: Place | None = None,
 ) -> npt.NDArray[np.float32]:
     """Return depth along the optical axis of raw values.
 
@@ -42,6 +56,8 @@ def depth_image(
     scale_m : float, optional
         In place of the description's; depth is then taken as it comes, while without it
         implausible depth is refused.
+    confidence : Place, optional
+        Of the plane that the description calls so.
 
     Returns
     -------
@@ -52,11 +68,40 @@ def depth_image(
     ------
     DecodeError
         No pixel has depth, one is negative, or the unit is plainly another.
+    CameraError
+        The camera does not say what the values depend on, or is one of another size.
     """
-    return depth_in_metres(
-        raw,
-        place.path,
-        scale_m=scale_m or source.scale,
-        invalid=[value for value in source.invalid if not isinstance(value, tuple)],
-        check_unit=scale_m is None,
-    )
+    unit = Unit(source, scale_m or source.scale, camera, place.path)
+    metres = unit.metres(raw)
+    none = named_none(raw, source)
+    if source.confidence is not None and confidence is not None:
+        none |= _unsure(confidence, source, source.confidence, raw.shape)
+    np.copyto(metres, 0, where=none)
+    return checked_metres(_limited(metres, source), unit, check_unit=scale_m is None)
+
+
+def _unsure(
+    place: Place, depth: DepthSource, source: PlaneSource, shape: tuple[int, ...]
+) -> npt.NDArray[np.bool_]:
+    """Return where the confidence is below the least that counts, or none."""
+    plane = read_plane(place.path, source.layout, place.index)
+    if plane.shape != shape:
+        raise DecodeError(
+            f"{place.path}: expected a confidence of depth's shape {shape}, found {plane.shape}; "
+            "name the plane that counts as 'channel', or leave 'confidence' out"
+        )
+    sure: npt.NDArray[np.bool_] = plane >= depth.least_confidence
+    return ~sure
+
+
+def _limited(metres: npt.NDArray[Any], source: DepthSource) -> npt.NDArray[Any]:
+    """Return depth without what lies outside the described range, cut to what it is clipped at."""
+    low, high = source.range_m
+    if low is not None:
+        metres = np.where((metres > 0) & (metres < low), 0, metres)
+    if high is not None:
+        metres = np.where(metres > high, 0, metres)
+    if source.clip_m is not None:
+        far = np.isfinite(metres) & (metres > source.clip_m)
+        metres = np.where(far, metres.dtype.type(source.clip_m), metres)
+    return metres

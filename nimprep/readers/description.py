@@ -114,6 +114,14 @@ class DepthSource(PlaneSource):
     camera: CameraSource | None = None
     depth_to_rgb: tuple[tuple[float, ...], ...] | None = None
 
+    @property
+    def in_metres(self) -> bool:
+        """Tell whether its scaled values are metres, not their inverse."""
+        return self.values in _METRES
+
+
+_METRES = frozenset({"depth", "distance"})
+
 
 @dataclass(frozen=True, kw_only=True)
 class LabelSource(PlaneSource):

@@ -23,6 +23,9 @@ from nimprep.readers.description import (
 )
 from nimprep.schema import check_json, read_json
 
+MOST_SCALE_M = 1000
+"""The largest scale_m of the schema."""
+
 _SCALES = {
     "depth": ("scale_m", "offset_m"),
     "distance": ("scale_m", "offset_m"),
@@ -51,6 +54,7 @@ def description_from_document(document: Any, where: str) -> Description:
     LayoutError
         It does not fit the schema, or contradicts itself.
     """
+    _refuse_units_per_metre(document, where)
     check_json(document, "folder", where, LayoutError)
     rgb = document["rgb"] if isinstance(document["rgb"], dict) else {"files": document["rgb"]}
     classes = _classes(document, where)
@@ -72,6 +76,20 @@ def description_from_document(document: Any, where: str) -> Description:
         size=_frozen(document.get("size")),
         orientation=document.get("orientation", "apply"),
     )
+
+
+def _refuse_units_per_metre(document: Any, where: str) -> None:
+    """Raise `LayoutError` where a scale plainly counts units per metre, as other programs have it.
+
+    Up to `MOST_SCALE_M` it may be metres: of numbers from 0 to 1, the far plane.
+    """
+    depth = document.get("depth") if isinstance(document, dict) else None
+    scale = depth.get("scale_m") if isinstance(depth, dict) else None
+    if isinstance(scale, (int, float)) and MOST_SCALE_M < scale < 1e9:
+        raise LayoutError(
+            f"{where}: expected metres per unit as scale_m, found {scale:g}; "
+            f"give metres per unit: {1 / scale:g}, not {scale:g}"
+        )
 
 
 def _frozen(value: Any) -> Any:

@@ -15,8 +15,8 @@ from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.color_values import color_image
-from nimprep.readers.depth_values import depth_image, raw_depth
-from nimprep.readers.description import Description
+from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
+from nimprep.readers.description import CONFIDENCE, Description
 from nimprep.readers.description_file import description_from_file
 from nimprep.readers.extra_values import extra_image
 from nimprep.readers.frame_cameras import FrameCameras
@@ -70,6 +70,7 @@ class FolderReader(ReaderBase):
         if not isinstance(description, Description):
             description = description_from_file(description)
         self._description, self._scale = description, depth_scale
+        check_scale_option(depth_scale, description.depth)
         wanted = {name for name, _ in description.sources()} - (set() if labels else {"label"})
         self._matched = matched_frames(self.root, description, wanted)
         self._splits = official_splits(self.root, description, self._matched)
@@ -108,7 +109,8 @@ class FolderReader(ReaderBase):
     def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
         """Return the frame's rgb, depth_m, label and planes, as far as `modalities` names them."""
         places, camera = self._places(frame_id), self._cameras.of(frame_id)
-        images = self._images({n: p for n, p in places.items() if n in modalities}, camera)
+        wanted = {*modalities, CONFIDENCE}
+        images = self._images({n: p for n, p in places.items() if n in wanted}, camera)
         if not images:
             return self._frame(frame_id, camera.camera(*self.shape(frame_id), frame_id), {})
         made = registered(frame_id, images, places, camera, self._description)
@@ -137,7 +139,12 @@ class FolderReader(ReaderBase):
         if "depth" in places and described.depth is not None:
             raw = raw_depth(places["depth"], described.depth)
             images["depth"] = depth_image(
-                places["depth"], described.depth, raw, camera, scale_m=self._scale
+                places["depth"],
+                described.depth,
+                raw,
+                camera,
+                scale_m=self._scale,
+                confidence=places.get(CONFIDENCE),
             )
         if "label" in places and described.label is not None:
             images["label"] = label_image(places["label"], described.label, described.classes)

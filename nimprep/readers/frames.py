@@ -1,4 +1,4 @@
-"""Steps that readers share: pairing files, raw depth to metres, checks on a frame as a whole."""
+"""Steps that readers share: pairing files, checks on a frame as a whole."""
 
 from __future__ import annotations
 
@@ -9,12 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.depth import checked_depth
-from nimprep.errors import ArrayError, DecodeError, LayoutError
+from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import IGNORE_LABEL, LabelClass
-
-PLAUSIBLE_MEDIAN_M = (0.05, 100.0)
-"""A frame whose median depth lies outside this range, metres, is in another unit."""
 
 
 def match_frames(files: Mapping[str, Mapping[str, Path]], root: Path) -> tuple[str, ...]:
@@ -42,59 +38,6 @@ def match_frames(files: Mapping[str, Mapping[str, Path]], root: Path) -> tuple[s
                 f"{len(missing)} of {len(ids)} frames lack {name})"
             )
     return tuple(ids)
-
-
-def depth_in_metres(
-    raw: npt.NDArray[Any],
-    path: Path,
-    *,
-    scale_m: float,
-    invalid: Sequence[float],
-    check_unit: bool,
-) -> npt.NDArray[np.float32]:
-    """Return raw depth as float32 metres, 0 = none.
-
-    Parameters
-    ----------
-    raw : (H, W) uint16 or floating
-        As decoded; 0, NaN and infinity are none, as is what comes out below 0.1 mm.
-    scale_m : float
-        Metres per raw unit.
-    invalid : sequence of float
-        Raw values that mean "no depth".
-    check_unit : bool
-        Refuse a median outside `PLAUSIBLE_MEDIAN_M`.
-
-    Raises
-    ------
-    DecodeError
-        No pixel has depth, one is negative, or the unit is plainly another.
-    """
-    # Dividing by a whole number keeps 1500 mm at exactly 1.5 m; multiplying by 0.001 does not.
-    per_metre = round(1 / scale_m)
-    whole = abs(1 / scale_m - per_metre) < 1e-6 * per_metre
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        metres = raw / np.float32(per_metre) if whole else raw * np.float32(scale_m)
-    for value in invalid:
-        np.copyto(metres, 0, where=raw == value)
-    try:
-        depth_m = checked_depth(metres)
-    except ArrayError as error:
-        raise DecodeError(f"{path}: {error}") from error
-    # Some 20,000 pixels tell the unit as well as all of them, at a hundredth of the time.
-    some = depth_m.reshape(-1)[:: max(1, depth_m.size // 20_000)]
-    valid = some[some > 0] if some.any() else depth_m[depth_m > 0]
-    if valid.size == 0:
-        raise DecodeError(f"{path}: expected depth, found no pixel that has any")
-    low, high = PLAUSIBLE_MEDIAN_M
-    # In float64: the mean of the two in the middle may be beyond float32.
-    median = float(np.median(valid.astype(np.float64)))
-    if check_unit and not low <= median <= high:
-        raise DecodeError(
-            f"{path}: expected a median depth of {low:g} to {high:g} m, found {median:g} m at "
-            f"{scale_m:g} m per unit; give the right one with --depth-scale"
-        )
-    return depth_m
 
 
 def check_label(

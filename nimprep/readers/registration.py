@@ -52,6 +52,6 @@ def registered(
 
 def registered_shape(places: Mapping[str, Place], description: Description) -> tuple[int, int]:
     """Return the (height, width) that a frame's images are brought to, from headers alone."""
-    place = places.get("depth", places["rgb"])
-    header = read_header(place.path)
+    name = "depth" if "depth" in places else "rgb"
+    header = read_header(places[name].path, dict(description.sources())[name].layout)
     return header.height, header.width
