@@ -35,6 +35,7 @@ OTHER: dict[str, Any] = {
     "description": "d.json",
     "camera": (30.0, 30.0, 16.0, 12.0),
     "depth_scale": 0.002,
+    "label_map": "0:0,9:1",
     "target": "lane",
     "depth_from": "lidar",
     "sparse": True,
@@ -42,9 +43,9 @@ OTHER: dict[str, Any] = {
 """A value for each option of readers that is not its default."""
 
 TAKES = {
-    "gmrp": {"camera", "depth_scale"},
+    "gmrp": {"camera", "depth_scale", "label_map"},
     "kitti-road": {"target", "depth_from", "sparse"},
-    "folder": {"description", "camera", "depth_scale"},
+    "folder": {"description", "camera", "depth_scale", "label_map"},
 }
 
 
@@ -154,7 +155,7 @@ def test_an_option_that_the_reader_has_not_is_a_wrong_call(
     flag = f"--{name.replace('_', '-')}"
     assert result.stderr == (
         f"error: {flag}: expected options of the reader gmrp (--camera or --intrinsics, "
-        f"--depth-scale), found '{OTHER[name]}'; leave out {flag}\n"
+        f"--depth-scale, --label-map), found '{OTHER[name]}'; leave out {flag}\n"
     )
     assert store.exists() == (command == "append")
 

@@ -38,6 +38,9 @@ class ReaderOptions(Options):
         None, "Camera file, JSON."
     )
     depth_scale: float | None = option(None, "Metres per raw depth unit.", least=1e-9, most=1000)
+    label_map: str | None = option(
+        None, "Raw label values, ranges or colours to class ids: 0:0,128-255:1,#ff0000:2."
+    )
     target: Target = option("road", "Which of KITTI road's ground truths.")
     depth_from: DepthFrom = option(
         "auto", "Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo."
@@ -55,6 +58,7 @@ class ReaderKeywords(TypedDict, total=False):
     description: Path | str | None
     camera: Path | str | tuple[float, float, float, float] | None
     depth_scale: float | None
+    label_map: str | None
     target: Target
     depth_from: DepthFrom
     sparse: bool

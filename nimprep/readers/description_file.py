@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nimprep.errors import LayoutError
-from nimprep.frame import IGNORE_LABEL, LabelClass
+from nimprep.frame import LabelClass
 from nimprep.images import Raw
 from nimprep.readers.description import (
     CameraSource,
@@ -21,6 +21,7 @@ from nimprep.readers.description import (
     PlaneSource,
     SplitSource,
 )
+from nimprep.readers.label_map import check_classes, with_map
 from nimprep.schema import check_json, read_json
 
 MOST_SCALE_M = 1000
@@ -170,29 +171,13 @@ def _transform(rows: Any, where: str) -> tuple[tuple[float, ...], ...]:
 
 
 def _label(document: Mapping[str, Any], classes: tuple[LabelClass, ...], where: str) -> LabelSource:
-    known = {c.id for c in classes} | {IGNORE_LABEL}
-    mapped, default = document.get("map"), document.get("default")
-    for value in [*(mapped or {}).values(), default]:
-        if value is not None and value not in known:
-            raise LayoutError(f"{where}: expected labels mapped to classes, found {value}")
-    ranges, colors = None, None
-    if mapped is not None:
-        named = {key: int(value) for key, value in mapped.items()}
-        ranges = tuple((*_range(key, where), v) for key, v in named.items() if key[0] != "#")
-        colors = {_color(key): v for key, v in named.items() if key[0] == "#"} or None
-    return LabelSource(**_plane(document, "default"), ranges=ranges, colors=colors)
-
-
-def _range(key: str, where: str) -> tuple[int, int]:
-    first, _, last = key.partition("-")
-    found = int(first), int(last or first)
-    if found[0] > found[1]:
-        raise LayoutError(f"{where}: expected a range from less to more in 'map', found {key!r}")
-    return found
-
-
-def _color(key: str) -> tuple[int, int, int]:
-    return int(key[1:3], 16), int(key[3:5], 16), int(key[5:7], 16)
+    source = LabelSource(**_plane(document, "default"))
+    if source.default is not None:
+        check_classes([source.default], classes, where)
+    named = document.get("map")
+    if named is None:
+        return source
+    return with_map(source, {key: int(value) for key, value in named.items()}, classes, where)
 
 
 def _camera(given: Any) -> CameraSource:

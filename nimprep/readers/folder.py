@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from nimprep.readers.description import CONFIDENCE, Description
 from nimprep.readers.description_file import description_from_file
 from nimprep.readers.extra_values import extra_image
 from nimprep.readers.frame_cameras import FrameCameras
+from nimprep.readers.label_map import map_from_text, with_map
+from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
 from nimprep.readers.matching import Place, group_of, matched_frames
 from nimprep.readers.official_splits import official_splits
@@ -48,6 +51,8 @@ class FolderReader(ReaderBase):
     depth_scale : float, optional
         Metres per raw depth unit, in place of the description's; depth is then taken as it comes,
         while without it implausible depth is refused.
+    label_map : str, optional
+        What raw labels mean, "0:0,255:1", in place of the description's map.
 
     Raises
     ------
@@ -63,12 +68,14 @@ class FolderReader(ReaderBase):
         labels: bool = True,
         camera: GivenCamera | None = None,
         depth_scale: float | None = None,
+        label_map: str | None = None,
     ) -> None:
         self.root = Path(root)
         if not self.root.is_dir():
             raise LayoutError(f"{self.root}: expected a dataset's folder, found none")
         if not isinstance(description, Description):
             description = description_from_file(description)
+        description = _relabelled(description, label_map)
         self._description, self._scale = description, depth_scale
         check_scale_option(depth_scale, description.depth)
         wanted = {name for name, _ in description.sources()} - (set() if labels else {"label"})
@@ -81,8 +88,13 @@ class FolderReader(ReaderBase):
             name=description.name,
             classes=description.classes if "label" in self._matched.places else (),
             calibration=self._cameras.origin,
-            notes=(*nominal, *self._matched.notes, *self._splits.notes),
+            notes=(*nominal, *self._matched.notes, *self._splits.notes, *self._label_notes()),
         )
+
+    def _label_notes(self) -> tuple[str, ...]:
+        labels = self._matched.places.get("label", {})
+        stored = {i: labels[i] for i in self.ids if i in labels}
+        return label_notes(self.root, stored, self._description)
 
     def group(self, frame_id: str) -> str:
         """Return the scene by the description's template or pattern; "" = none."""
@@ -152,3 +164,12 @@ class FolderReader(ReaderBase):
             if name in places:
                 images[name] = extra_image(places[name], source)
         return images
+
+
+def _relabelled(description: Description, label_map: str | None) -> Description:
+    """Return the description with another map of labels, where one is given."""
+    if label_map is None or description.label is None:
+        return description
+    named = map_from_text(label_map)
+    label = with_map(description.label, named, description.classes, "--label-map")
+    return replace(description, label=label)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
-from nimprep.frame import IGNORE_LABEL, LabelClass
 
 
 def match_frames(files: Mapping[str, Mapping[str, Path]], root: Path) -> tuple[str, ...]:
@@ -38,33 +36,6 @@ def match_frames(files: Mapping[str, Mapping[str, Path]], root: Path) -> tuple[s
                 f"{len(missing)} of {len(ids)} frames lack {name})"
             )
     return tuple(ids)
-
-
-def check_label(
-    label: npt.NDArray[Any], classes: Sequence[LabelClass], path: Path
-) -> npt.NDArray[np.uint8]:
-    """Return the label image after checking that it holds class ids and 255 only.
-
-    Raises
-    ------
-    DecodeError
-        It has colours, or another value.
-    """
-    if label.ndim != 2:
-        raise DecodeError(f"{path}: expected class ids in one channel, found a colour image")
-    known = [c.id for c in classes] + [IGNORE_LABEL]
-    # Classes are mostly numbered from 0 on: one comparison for these, and one for each other id.
-    first = next(i for i in range(len(known) + 1) if i not in known)
-    unknown = label >= first
-    for value in known:
-        if value > first:
-            unknown &= label != value
-    if unknown.any():
-        raise DecodeError(
-            f"{path}: expected labels {known}, found {label[unknown].min()}; "
-            "describe other classes with a folder description, or use --no-labels"
-        )
-    return label.astype(np.uint8, copy=False)
 
 
 def check_same_shape(images: Mapping[Path, npt.NDArray[Any]]) -> None:

@@ -43,6 +43,7 @@ def open_gmrp(
     labels: bool = True,
     camera: GivenCamera | None = None,
     depth_scale: float | None = None,
+    label_map: str | None = None,
 ) -> FolderReader:
     """Open a folder in GMRP's layout.
 
@@ -52,4 +53,11 @@ def open_gmrp(
     description = GMRP
     if (Path(root) / "camera.json").is_file():
         description = replace(description, camera=CameraSource(files="camera.json"))
-    return FolderReader(root, description, labels=labels, camera=camera, depth_scale=depth_scale)
+    return FolderReader(
+        root,
+        description,
+        labels=labels,
+        camera=camera,
+        depth_scale=depth_scale,
+        label_map=label_map,
+    )

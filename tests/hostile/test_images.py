@@ -15,13 +15,22 @@ from hypothesis import strategies as st
 from nimprep.errors import DecodeError
 from nimprep.frame import MAX_PIXELS
 from nimprep.images import read_depth, read_header, read_label, read_rgb
+from nimprep.images.palette import read_palette_index
 from nimprep.kitti.images import read_confidence, read_ground_truth
 from tests.hostile import pictures
 from tests.hostile.damage import damaged
 from tests.hostile.fuzzing import fuzz, limited_time, survives
 from tests.hostile.pictures import SAMPLES, bomb, chunk, png
 
-READERS = (read_header, read_rgb, read_depth, read_label, read_confidence, read_ground_truth)
+READERS = (
+    read_header,
+    read_rgb,
+    read_depth,
+    read_label,
+    read_palette_index,
+    read_confidence,
+    read_ground_truth,
+)
 
 
 def read_all(path: Path, kind: str) -> int:

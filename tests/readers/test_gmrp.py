@@ -154,7 +154,7 @@ COLOR8 = np.full((*SIZE, 3), 9, np.uint8)
         ("rgb", np.full((25, 32, 3), 9, np.uint8), "found 32x24"),
         ("rgb", np.full((*SIZE, 3), 9, np.uint16), "8-bit colour image, found 32x24 16-bit RGB"),
         ("label", GREY8, r"expected labels \[0, 1, 2, 255\], found 9"),
-        ("label", COLOR8, "found a colour image"),
+        ("label", COLOR8 * np.array([0, 1, 2], np.uint8), "found a colour image"),
     ],
 )
 def test_an_image_that_cannot_be_right_is_named(
