@@ -22,6 +22,7 @@ LAYERS = [
     ["doubts"],
     ["kitti"],
     ["readers"],
+    ["inspection"],
     ["store"],
     ["conversion"],
     ["report"],

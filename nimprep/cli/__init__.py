@@ -21,11 +21,12 @@ from nimprep.errors import NimprepError, OptionError
 from nimprep.text import printable
 
 _COMMANDS = {
+    "inspect": ("nimprep.cli.inspect", "Say what raw data is, and write a description of it."),
     "convert": ("nimprep.cli.convert", "Turn a raw dataset into a store."),
     "append": ("nimprep.cli.append", "Add a raw dataset's frames to a store of its kind."),
     "merge": ("nimprep.cli.merge", "Join stores of one kind into a new one."),
-    "info": ("nimprep.cli.inspect", "Show what a store holds."),
-    "validate": ("nimprep.cli.inspect", "Check a store; exit 1 where something is wrong."),
+    "info": ("nimprep.cli.info", "Show what a store holds."),
+    "validate": ("nimprep.cli.info", "Check a store; exit 1 where something is wrong."),
     "split": ("nimprep.cli.split", "Show, export or change who is train, val and test."),
     "evaluate": ("nimprep.cli.evaluate", "Score predicted labels against a store."),
     "export": ("nimprep.cli.export", "Write frames as PNGs, NumPy archives or a Rerun recording."),

@@ -1,56 +1,50 @@
-"""nimprep info and nimprep validate."""
+"""nimprep inspect."""
 
 from __future__ import annotations
 
 import json
-import sys
+from pathlib import Path
 
 import click
 
 from nimprep.cli.echo import echo
-from nimprep.cli.options import json_option, progress_bars, quiet_option
-
-_NAMED = 10
-"""So much that is not nimprep's is named; of the rest the number is given."""
+from nimprep.cli.options import json_option
 
 
 @click.command()
-@click.argument("store", type=click.Path())
+@click.argument("src", type=click.Path(path_type=Path))
 @json_option
-def info(store: str, as_json: bool) -> None:
-    """Show what STORE holds: frames, modalities, splits, camera, depth."""
-    from nimprep.store.info import info_text, store_info
+@click.option(
+    "--write",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write a description to start from, for convert's --description.",
+)
+def inspect(src: Path, as_json: bool, write: Path | None) -> None:
+    """Say what SRC is: a folder of images, an archive, a recording or a store.
 
-    found = store_info(store)
-    echo(json.dumps(found, indent=2) if as_json else info_text(found), lines=True)
+    Files are grouped by pattern, some of each are decoded, and what they are is told by their
+    values first and their names second: colour, labels, depth and what its numbers mean, with the
+    evidence. Nothing is written but what --write names.
+    """
+    from nimprep.errors import LayoutError
+    from nimprep.files import check_file, write_whole
+    from nimprep.inspection.inspection import inspect_source
+    from nimprep.inspection.wording import inspection_text
+    from nimprep.schema import json_bytes
 
-
-@click.command()
-@click.argument("store", type=click.Path())
-@click.option("--deep", is_flag=True, help="Decode and check every pixel.")
-@json_option
-@quiet_option
-def validate(store: str, deep: bool, as_json: bool, quiet: bool) -> None:
-    """Check STORE against the format; exit 1 where something is wrong."""
-    from nimprep.store.validate import validate_store
-
-    report = validate_store(store, deep=deep, progress=progress_bars(quiet))
-    if as_json:
-        echo(json.dumps(report.to_dict(), indent=2), lines=True)
-    elif report.valid:
-        checks = ", ".join(f"{number} {what}" for what, number in report.checks.items())
-        echo(f"{store}: valid, {report.frames} frames ({checks} checked)")
-    else:
-        for problem in report.problems:
-            echo(f"{store}: {problem}")
-    if report.extras and not as_json:
-        more = len(report.extras) - _NAMED
-        named = ", ".join(report.extras[:_NAMED]) + (f" and {more} more" if more > 0 else "")
-        echo(f"{store}: not nimprep's, and not checked: {named}")
-    if not report.valid:
-        echo(
-            f"error: {store}: expected a valid store, found it is not "
-            f"({len(report.problems)} problems)",
-            err=True,
-        )
-        sys.exit(1)
+    if write is not None:
+        check_file(write, src)
+    found = inspect_source(src)
+    if write is not None:
+        if found.description is None:
+            raise LayoutError(
+                f"{src}: expected colour images to describe, found {found.what}; "
+                "leave out --write to see what is there"
+            )
+        write_whole(write, json_bytes(found.description), src)
+        found.next_steps = [
+            f"look through {write}, then: nimprep convert {src} OUT.zarr --description {write}"
+        ]
+    document = found.to_dict()
+    echo(json.dumps(document, indent=2) if as_json else inspection_text(document), lines=True)

@@ -15,6 +15,7 @@ from nimprep.kitti.names import DepthFrom, Target
 from nimprep.options import Options, documented, option, options_of
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
 from nimprep.readers.cameras import camera_from, numbers_of
+from nimprep.readers.nearby import nearby_dataset
 
 __all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptions", "open_reader"]
 
@@ -117,7 +118,9 @@ def sniff(root: Path) -> ReaderName:
     known = "; ".join(f"{name}: {layout.about}" for name, layout in READERS.items())
     entries = sorted(p.name for p in root.iterdir())[:5]
     found = ", ".join(entries) if entries else "an empty folder"
-    raise LayoutError(f"{root}: expected a known layout ({known}), found {found}")
+    near = nearby_dataset(root)
+    step = f"nimprep inspect {root} says what it is" if near is None else f"did you mean {near}?"
+    raise LayoutError(f"{root}: expected a known layout ({known}), found {found}; {step}")
 
 
 def open_reader(

@@ -67,6 +67,10 @@ MAPS, TRUTH, IMAGES, CALIB = (
 )
 KITTI_EVALUATE = ("kitti", "evaluate", MAPS, TRUTH, "--view", "perspective")
 CALLS = {
+    "inspect": [
+        Call(("inspect", RAW)),
+        Call(("inspect", Path("road"), "--json")),
+    ],
     "convert": [Call(("convert", RAW, NEW, *DESCRIBED), "store")],
     "append": [Call(("append", Path("more"), S, *DESCRIBED))],
     "merge": [Call(("merge", S, Path("t.zarr"), NEW), "store")],

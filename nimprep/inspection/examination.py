@@ -1,0 +1,188 @@
+"""What lies below a folder, pattern by pattern, decoded as far as it takes to tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nimprep.errors import DecodeError
+from nimprep.files import read_start
+from nimprep.inspection.calibrations import ENDINGS, Calibration, calibration_in
+from nimprep.inspection.holdings import Holding, holding_at
+from nimprep.inspection.planes import Guess, guessed
+from nimprep.inspection.samples import IMAGES, Sample, sampled
+from nimprep.inspection.survey import Survey
+from nimprep.inspection.templates import Template, templates_of
+from nimprep.inspection.words import has_role, has_words
+
+MOST_PATTERNS = 60
+"""Patterns of images beyond so many, those of fewest files, are not decoded."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Hold the images of one pattern.
+
+    Attributes
+    ----------
+    template : Template
+    samples : tuple of Sample
+        Decoded, at least one.
+    guess : Guess
+    """
+
+    template: Template
+    samples: tuple[Sample, ...]
+    guess: Guess
+
+    @property
+    def pattern(self) -> str:
+        return self.template.pattern
+
+    @property
+    def kind(self) -> str:
+        return self.guess.kind
+
+
+@dataclass(frozen=True)
+class CameraFiles:
+    """Hold camera files of one pattern, and what the first says."""
+
+    template: Template
+    calibration: Calibration
+
+
+@dataclass
+class Examination:
+    """Hold what was found below a folder.
+
+    Attributes
+    ----------
+    survey : Survey
+    planes : list of Plane
+    cameras : list of CameraFiles
+    texts : list of Template
+        Text files that are no cameras: lists of frames, notes.
+    clouds : list of Template
+        LiDAR scans and point clouds.
+    others : list of Template
+    holdings : list of Holding
+    problems : list of str
+        One line each.
+    """
+
+    survey: Survey
+    planes: list[Plane] = field(default_factory=list)
+    cameras: list[CameraFiles] = field(default_factory=list)
+    texts: list[Template] = field(default_factory=list)
+    clouds: list[Template] = field(default_factory=list)
+    others: list[Template] = field(default_factory=list)
+    holdings: list[Holding] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    def of_kind(self, *kinds: str) -> list[Plane]:
+        return [plane for plane in self.planes if plane.kind in kinds]
+
+
+def examined(survey: Survey) -> Examination:
+    """Look at the files of every pattern."""
+    found = Examination(survey, problems=list(survey.problems))
+    templates = templates_of(survey.files, lambda path: _first_bytes(survey.root / path))
+    templates.sort(key=lambda template: -len(template.members))
+    images = 0
+    for template in templates:
+        if template.ending in IMAGES and images < MOST_PATTERNS:
+            images += 1
+            _add_images(found, template)
+        else:
+            _add_other(found, template)
+    found.planes.sort(key=lambda plane: plane.pattern)
+    return found
+
+
+def _first_bytes(path: Path) -> str:
+    """Return what a PNG's header says of its pixels; "" for all else."""
+    try:
+        start = read_start(path, 29)
+    except DecodeError:
+        return ""
+    return f"{start[24]}-{start[25]}" if start[12:16] == b"IHDR" and len(start) == 29 else ""
+
+
+def _paths(root: Path, template: Template) -> list[Path]:
+    return [root / member.path for member in template.members]
+
+
+def _add_images(found: Examination, template: Template) -> None:
+    root = found.survey.root
+    problems: list[str] = []
+    samples = sampled(_paths(root, template), problems, root)
+    if samples:
+        same = [s for s in samples if (s.channels, s.pixels.dtype) == _kind_of(samples)]
+        guess = guessed(template.pattern, same)
+        found.planes.append(Plane(template, tuple(same), guess))
+        found.problems += problems
+        if len(same) < len(samples):
+            found.problems.append(f"{template.pattern}: files of different types in one pattern")
+    else:
+        _add_other(found, template, problems)
+
+
+def _kind_of(samples: Iterable[Sample]) -> tuple[int, np.dtype[np.generic]]:
+    kinds = [(sample.channels, sample.pixels.dtype) for sample in samples]
+    return max(kinds, key=kinds.count)
+
+
+def _add_other(found: Examination, template: Template, problems: Iterable[str] = ()) -> None:
+    path = found.survey.root / template.members[0].path
+    try:
+        holding = holding_at(path)
+    except DecodeError as error:
+        root = found.survey.root
+        found.problems.append(" ".join(str(error).replace(f"{root}/", "").split()))
+        return
+    if holding is not None:
+        if holding.kind == "points":
+            found.clouds.append(template)
+        else:
+            found.holdings.append(holding)
+        return
+    found.problems += problems
+    if template.ending in ENDINGS or template.ending in (".lst", ""):
+        calibration = calibration_in(path)
+        if calibration is not None and _may_be_camera(template, calibration):
+            found.cameras.append(CameraFiles(template, calibration))
+        else:
+            found.texts.append(template)
+    elif template.ending == ".bin" and not has_words(template.pattern, "depth") and _is_scan(path):
+        found.clouds.append(template)
+    else:
+        found.others.append(template)
+
+
+def _may_be_camera(template: Template, calibration: Calibration) -> bool:
+    return bool(calibration.numbers) or calibration.depth_scale is not None
+
+
+def _is_scan(path: Path) -> bool:
+    """Tell whether a file is bare float32 points, x y z and one or two numbers more."""
+    size = path.stat().st_size
+    if size == 0 or (size % 16 and size % 20):
+        return False
+    try:
+        start = read_start(path, 8000)
+    except DecodeError:
+        return False
+    values = np.frombuffer(start[: len(start) // 4 * 4], np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):
+        fits = np.isfinite(values) & (np.abs(values) < 5000)
+    tiny = (np.abs(values) < 1e-6) & (values != 0)
+    return bool(fits.all() and not tiny.any())
+
+
+def named_by_role(template: Template) -> bool:
+    """Tell whether a pattern's innermost folder or names say what it holds."""
+    return has_role(template.folder.rstrip("/").rpartition("/")[2]) or has_role(template.prefix)

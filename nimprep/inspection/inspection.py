@@ -1,0 +1,303 @@
+"""What a folder, archive or recording is: everything found out about it, as one object."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nimprep.errors import DecodeError, LayoutError
+from nimprep.files import read_file
+from nimprep.inspection.depth_guess import depth_encodings, sorted_depth
+from nimprep.inspection.encodings import Encoding
+from nimprep.inspection.examination import Examination, Plane, examined
+from nimprep.inspection.holdings import Holding, holding_at
+from nimprep.inspection.layouts import fitting_reader
+from nimprep.inspection.survey import Survey, survey_folder
+from nimprep.inspection.templates import Template
+from nimprep.readers import ReaderName
+from nimprep.readers.nearby import nearby_dataset
+
+_MOST_LINES = 20
+
+
+@dataclass
+class Inspection:
+    """Hold what was found out.
+
+    Attributes
+    ----------
+    source : Path
+    what : str
+        One sentence.
+    kind : str
+        "reader", "images", "points", "archive", "recording", "container", "store", "file" or
+        "nothing".
+    reader : str, optional
+    found : Examination, optional
+        Of a folder.
+    depth : list of (Plane, list of Encoding)
+        The likeliest encoding first; empty where numbers are no depth.
+    holdings : list of Holding
+    notes, next_steps : list of str
+    description : dict, optional
+        To start from.
+    """
+
+    source: Path
+    what: str = "nothing that nimprep knows"
+    kind: str = "nothing"
+    reader: ReaderName | None = None
+    found: Examination | None = None
+    depth: list[tuple[Plane, list[Encoding]]] = field(default_factory=list)
+    holdings: list[Holding] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    next_steps: list[str] = field(default_factory=list)
+    description: dict[str, Any] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it (schemas/inspection.schema.json)."""
+        found = self.found
+        return {
+            "format": "nimprep-inspection",
+            "version": "1.0",
+            "source": str(self.source),
+            "kind": self.kind,
+            "what": self.what,
+            "reader": self.reader,
+            "files": 0 if found is None else len(found.survey.files),
+            "sampled": found is not None and found.survey.cut,
+            "patterns": [] if found is None else _patterns(found),
+            "depth": [_depth(plane, encodings) for plane, encodings in self.depth],
+            "cameras": [] if found is None else _cameras(found),
+            "splits": {} if found is None else split_counts(found),
+            "holdings": [_holding(holding, self.source) for holding in self.holdings],
+            "problems": [] if found is None else found.problems[:_MOST_LINES],
+            "notes": self.notes,
+            "next": self.next_steps,
+            "description": self.description,
+        }
+
+
+def _patterns(found: Examination) -> list[dict[str, Any]]:
+    root = found.survey.root
+    lines = [
+        {
+            "files": plane.pattern,
+            "count": len(plane.template.members),
+            "bytes": _bytes(root, plane.template),
+            "kind": plane.kind,
+            "evidence": list(plane.guess.evidence),
+            "size": list(plane.samples[0].size),
+            "channels": plane.samples[0].channels,
+            "dtype": str(plane.samples[0].pixels.dtype),
+            "range": _range(plane),
+        }
+        for plane in found.planes
+    ]
+    rest = (
+        *((c.template, "camera") for c in found.cameras),
+        *((template, "points") for template in found.clouds),
+        *((template, "text") for template in found.texts),
+        *((template, "other") for template in found.others),
+    )
+    lines += [
+        {
+            "files": template.pattern,
+            "count": len(template.members),
+            "bytes": _bytes(root, template),
+            "kind": kind,
+            "evidence": [],
+        }
+        for template, kind in rest
+    ]
+    return lines
+
+
+def _bytes(root: Path, template: Template) -> int:
+    """Return how many bytes files take together, by the first 50 of them."""
+    some = template.members[:50]
+    sizes = []
+    for member in some:
+        try:
+            sizes.append((root / member.path).stat().st_size)
+        except OSError:
+            continue
+    return round(sum(sizes) / max(1, len(sizes)) * len(template.members))
+
+
+def _range(plane: Plane) -> list[float] | None:
+    ends = []
+    for sample in plane.samples:
+        values = sample.pixels[np.isfinite(sample.pixels)]
+        if values.size:
+            ends += [float(values.min()), float(values.max())]
+    return [min(ends), max(ends)] if ends else None
+
+
+def _depth(plane: Plane, encodings: Sequence[Encoding]) -> dict[str, Any]:
+    return {
+        "files": plane.pattern,
+        "encodings": [
+            {
+                "name": encoding.name,
+                "score": round(encoding.score, 2),
+                "depth": {"files": plane.pattern, **encoding.document},
+                "reasons": list(encoding.reasons),
+            }
+            for encoding in encodings[:3]
+        ],
+    }
+
+
+def _cameras(found: Examination) -> list[dict[str, Any]]:
+    return [
+        {
+            "files": camera.template.pattern,
+            "count": len(camera.template.members),
+            "numbers": dict(camera.calibration.numbers),
+            "key": camera.calibration.key,
+            "depth_scale": camera.calibration.depth_scale,
+        }
+        for camera in found.cameras
+    ]
+
+
+def _holding(holding: Holding, source: Path) -> dict[str, Any]:
+    path = holding.path
+    name = path.relative_to(source) if path.is_relative_to(source) and path != source else path
+    return {
+        "path": str(name),
+        "kind": holding.kind,
+        "what": holding.what,
+        "names": list(holding.names[:_MOST_LINES]),
+        "step": holding.step,
+    }
+
+
+def split_counts(found: Examination) -> dict[str, int]:
+    """Return how many files of the pattern with most the folders named as splits have."""
+    best: dict[str, int] = {}
+    for plane in found.planes:
+        counts: dict[str, int] = {}
+        for member in plane.template.members:
+            if "split" in member.captured:
+                name = member.captured["split"]
+                counts[name] = counts.get(name, 0) + 1
+        if sum(counts.values()) > sum(best.values()):
+            best = counts
+    return best
+
+
+def inspect_source(source: Path | str) -> Inspection:
+    """Find out what a folder or file of raw data is.
+
+    Raises
+    ------
+    LayoutError
+        It is missing, or nothing in it is known.
+    """
+    source = Path(source)
+    if not source.exists():
+        raise LayoutError(f"{source}: expected a folder or file to look at, found none; check it")
+    made = Inspection(source)
+    if source.is_file():
+        _look_at_file(made)
+    elif (source / "zarr.json").is_file():
+        _look_at_store(made)
+    else:
+        _look_at_folder(made, survey_folder(source))
+    if made.kind == "nothing":
+        problems = made.found.problems if made.found else []
+        empty = made.found is not None and not made.found.survey.files
+        what = "an empty folder" if empty else "nothing that is known"
+        raise LayoutError(
+            f"{source}: expected images, an archive or a recording, found "
+            f"{problems[0] if problems else what}; name the folder that has them"
+        )
+    return made
+
+
+def _look_at_file(made: Inspection) -> None:
+    source = made.source
+    try:
+        holding = holding_at(source)
+    except DecodeError as error:
+        raise LayoutError(f"{error}; name a file that can be read") from error
+    if holding is None:
+        _look_at_folder(made, Survey(source.parent, (source.name,)))
+        if made.kind == "images":
+            made.kind, made.what = "file", f"an image ({made.what.rpartition('as ')[2]})"
+            made.next_steps = ["inspect the folder with all of them"]
+        return
+    made.kind = holding.kind if holding.kind != "image" else "file"
+    made.what, made.holdings = holding.what, [holding]
+    made.next_steps = [holding.step] if holding.step else []
+    inner = _reader_in(holding.names)
+    if inner:
+        made.what += f" that holds {inner}"
+
+
+def _reader_in(names: Sequence[str]) -> str:
+    """Return what files in an archive look like by their names alone."""
+    text = " ".join(names)
+    if "/depth_u16/" in f"/{text}":
+        return "GMRP's layout"
+    if "/gt_image_2/" in f"/{text}" or "training/image_2/" in text:
+        return "KITTI road's layout"
+    return ""
+
+
+def _look_at_store(made: Inspection) -> None:
+    path = made.source / "zarr.json"
+    try:
+        document = json.loads(read_file(path, 1 << 25))
+        ours = "nimprep" in document.get("attributes", {})
+    except (DecodeError, ValueError, AttributeError, RecursionError):
+        ours = False
+    made.kind = "store"
+    made.what = "a store of nimprep" if ours else "a Zarr store that is not nimprep's"
+    made.next_steps = [f"nimprep info {made.source}"] if ours else ["export its images first"]
+
+
+def _look_at_folder(made: Inspection, survey: Survey) -> None:
+    found = made.found = examined(survey)
+    made.holdings = found.holdings
+    for store in survey.stores:
+        made.notes.append(f"{store} is a store, which is not looked into; nimprep info says more")
+    fitting = fitting_reader(survey.root) if made.source == survey.root else None
+    for plane in sorted_depth(found.of_kind("depth", "disparity")):
+        made.depth.append((plane, depth_encodings(found, plane)))
+    near = None if fitting else nearby_dataset(made.source)
+    if near is not None:
+        made.notes.append(f"did you mean {near}?")
+    if fitting:
+        made.reader, frames = fitting
+        made.kind, made.what = "reader", f"a dataset of {frames} frames in the layout {fitting[0]}"
+        made.next_steps = [f"nimprep convert {made.source} OUT.zarr"]
+    elif found.planes:
+        made.kind, made.what = "images", _summary(found)
+        made.next_steps = [f"nimprep inspect {made.source} --write FILE.json"]
+    elif found.holdings:
+        first = found.holdings[0]
+        made.kind = first.kind if first.kind != "image" else "images"
+        made.what = f"{len(found.holdings)} kinds of file, the first {first.what}"
+        made.next_steps = list(dict.fromkeys(h.step for h in found.holdings if h.step))
+    elif found.clouds:
+        made.kind, made.what = "points", "point clouds without images"
+    elif near is not None or survey.stores:
+        made.kind, made.what = "images", "no images itself"
+    if near is not None:
+        made.next_steps.insert(0, f"nimprep inspect {near}")
+
+
+def _summary(found: Examination) -> str:
+    counts: dict[str, int] = {}
+    for plane in found.planes:
+        counts[plane.kind] = counts.get(plane.kind, 0) + len(plane.template.members)
+    kinds = ", ".join(f"{count} {kind}" for kind, count in counts.items())
+    return f"images told by pattern and values as {kinds}"

@@ -1,0 +1,282 @@
+"""Files by pattern: what varies in their paths becomes placeholders."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+from nimprep.inspection.words import SPLITS, has_role, words_of
+
+_FIELDS = re.compile(r"[^_\-. ]+|[_\-. ]+")
+_CAMERA = re.compile(r"cam(era)?[_\-. ]?\d+/", re.IGNORECASE)
+_MANY = 12
+"""So many sibling folders of one shape are scenes, whatever their names."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """Name a file and what the placeholders for folders stand for in its path."""
+
+    path: str
+    captured: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return self.path.rpartition("/")[2]
+
+    @property
+    def stem(self) -> str:
+        return self.name.rpartition(".")[0] or self.name
+
+
+@dataclass(frozen=True)
+class Template:
+    """Hold files whose paths have one shape.
+
+    Attributes
+    ----------
+    folder : str
+        With placeholders, ends in "/" unless empty.
+    prefix, suffix : str
+        What all names begin and end with, the ending ".png" or the like included.
+    members : tuple of Member
+    fixed : bool
+        All have the one name `prefix`.
+    """
+
+    folder: str
+    prefix: str
+    suffix: str
+    members: tuple[Member, ...]
+    fixed: bool = False
+
+    @property
+    def pattern(self) -> str:
+        middle = "" if self.fixed else "{id}"
+        if "{id}" in self.folder and not self.fixed:
+            middle = "*"
+        return f"{self.folder}{self.prefix}{middle}{self.suffix}"
+
+    @property
+    def ending(self) -> str:
+        name = self.members[0].name
+        return name[name.rfind(".") :].lower() if "." in name[1:] else ""
+
+
+class _Folder:
+    """A folder with what lies in it."""
+
+    def __init__(self, path: str = "") -> None:
+        self.path = path
+        self.folders: dict[str, _Folder] = {}
+        self.files: list[str] = []
+
+
+def templates_of(files: Iterable[str], look: Callable[[str], str]) -> list[Template]:
+    """Return files by pattern.
+
+    Parameters
+    ----------
+    files : iterable of str
+        Paths with "/".
+    look : callable
+        Path to what the file's first bytes say it is: folders whose files differ in it are not
+        scenes of one dataset.
+    """
+    root = _Folder()
+    for path in files:
+        place = root
+        *folders, name = path.split("/")
+        for folder in folders:
+            if folder not in place.folders:
+                place.folders[folder] = _Folder(f"{place.path}{folder}/")
+            place = place.folders[folder]
+        place.files.append(name)
+    found: list[Template] = []
+    _visit([(root, {})], "", found, cache(look))
+    return _joined(found)
+
+
+def _visit(
+    places: list[tuple[_Folder, dict[str, str]]],
+    pattern: str,
+    found: list[Template],
+    look: Callable[[str], str],
+) -> None:
+    """Add the templates of folders that are alike, and of those in them."""
+    _add_files(places, pattern, found)
+    children: dict[str, list[tuple[_Folder, dict[str, str]]]] = {}
+    for folder, captured in places:
+        for name, child in folder.folders.items():
+            children.setdefault(name, []).append((child, captured))
+    for names, placeholder in _classes(children, pattern, look):
+        if not placeholder:
+            _visit(children[names[0]], f"{pattern}{names[0]}/", found, look)
+            continue
+        inner = [
+            (child, {**captured, placeholder: name})
+            for name in names
+            for child, captured in children[name]
+        ]
+        _visit(inner, f"{pattern}{{{placeholder}}}/", found, look)
+
+
+def _classes(
+    children: Mapping[str, list[tuple[_Folder, dict[str, str]]]],
+    pattern: str,
+    look: Callable[[str], str],
+) -> list[tuple[list[str], str]]:
+    """Return folders' names, those of scenes of one dataset together, with their placeholder."""
+    split = [name for name in children if name.lower() in SPLITS]
+    classes: list[tuple[list[str], set[str]]] = []
+    literal: list[list[str]] = []
+    roles = [name for name in children if has_role(name) and name not in split]
+    cameras = [name for name in roles if _CAMERA.match(f"{name}/")]
+    for name in children:
+        if name in split:
+            continue
+        signature = set().union(*(_signature(child, look) for child, _ in children[name]))
+        whole = sum(part.endswith("/") and not _CAMERA.match(part) for part in signature) > 1
+        if name in roles and len(roles) <= _MANY and not whole and len(cameras) < 2:
+            literal.append([name])
+            continue
+        for names, known in classes:
+            if len(signature & known) >= 0.5 * max(1, min(len(signature), len(known))):
+                names.append(name)
+                known |= signature
+                break
+        else:
+            classes.append(([name], signature))
+    made = [(names, "") for names in literal]
+    if split:
+        made.append((split, _free("split", pattern)))
+    for names, _ in classes:
+        scenes = len(names) > 1 or re.search(r"\d\d", names[0])
+        made.append((names, _placeholder(names, pattern) if scenes else ""))
+    return made
+
+
+def _signature(folder: _Folder, look: Callable[[str], str]) -> set[str]:
+    """Return what a folder has in it, down to folders whose names say what they hold."""
+    found = {f"{_key(name)} {look(folder.path + name)}" for name in folder.files[:1]}
+    found |= {str(_key(name)) for name in folder.files[:100]}
+    for name, child in list(folder.folders.items())[:100]:
+        found |= {f"{name}/"} if has_role(name) else _signature(child, look)
+    return found
+
+
+def _placeholder(names: Sequence[str], pattern: str) -> str:
+    if all(words_of(name)[:1] in (("camera",), ("cam",)) for name in names):
+        return _free("camera", pattern)
+    return _free("scene", pattern)
+
+
+def _free(name: str, pattern: str) -> str:
+    count = 2
+    free = name
+    while f"{{{free}}}" in pattern:
+        free, count = f"{name}{count}", count + 1
+    return free
+
+
+def _key(name: str) -> tuple[str, ...]:
+    """Return what tells a file's kind from that of others in its folder."""
+    stem, _, ending = name.rpartition(".")
+    parts = [part for part in _FIELDS.findall(stem or ending) if part[0] not in "_-. "]
+    numbers = [place for place, part in enumerate(parts) if part[0].isdigit()]
+    last = numbers[-1] if numbers else len(parts)
+    told = [
+        re.sub(r"\d{2,}$|(?<=[a-z])\d$", "", part)
+        for place, part in enumerate(parts)
+        if has_role(part) or (place > last and not re.search(r"\d", part))
+    ]
+    if not any(letter.isdigit() for letter in stem or ending) and not told:
+        told = [stem or ending] if ending.lower() not in _PICTURES else []
+    return (ending.lower(), *told)
+
+
+_PICTURES = {"png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp", "npy", "npz", "pgm", "ppm", "pfm"}
+
+
+def _add_files(
+    places: list[tuple[_Folder, dict[str, str]]], pattern: str, found: list[Template]
+) -> None:
+    by_key: dict[tuple[str, ...], list[Member]] = {}
+    for folder, captured in places:
+        for name in folder.files:
+            by_key.setdefault(_key(name), []).append(Member(folder.path + name, captured))
+    found += [_template(pattern, members) for members in by_key.values()]
+
+
+def _template(folder: str, members: list[Member]) -> Template:
+    stems = {member.stem for member in members}
+    name = members[0].name
+    ending = name[len(members[0].stem) :]
+    if len(stems) == 1 and not re.search(r"\d", name[: len(members[0].stem)]):
+        return Template(folder, name, "", tuple(members), fixed=True)
+    if len(stems) == 1 and len(members) > 1:
+        return Template(folder, name, "", tuple(members), fixed=True)
+    head, tail = affixes(sorted(stems))
+    return Template(folder, head, tail + ending, tuple(members))
+
+
+def affixes(stems: Sequence[str]) -> tuple[str, str]:
+    """Return what all names begin and end with, whole words without numbers."""
+    first, last = stems[0], stems[-1]
+    shortest = min(map(len, stems))
+    head = 0
+    while head < shortest and first[head] == last[head]:
+        head += 1
+    match = re.match(r"[^\d]*", first[:head])
+    prefix = match[0] if match else ""
+    backwards = [stem[::-1] for stem in stems]
+    low, high = min(backwards), max(backwards)
+    tail = 0
+    while tail < shortest and low[tail] == high[tail]:
+        tail += 1
+    match = re.search(r"(?<=[\d])[_\-. ]+[A-Za-z]\w*$|[_\-. ][A-Za-z]+$|$", first)
+    suffix = match[0] if match else ""
+    if len(suffix) > tail or len(prefix) + len(suffix) >= shortest:
+        suffix = ""
+    if len(prefix) < len(first) and prefix and first[len(prefix)].isalpha():
+        # The names part within a word.
+        cut = max(prefix.rfind(sign) for sign in "_-. ")
+        prefix = prefix[: cut + 1]
+    return prefix, suffix
+
+
+def _joined(found: list[Template]) -> list[Template]:
+    """Join templates of one dataset whose scenes lie at different depths."""
+    by_tail: dict[tuple[str, str, str], list[Template]] = {}
+    for template in found:
+        tail = _tail(template.folder)
+        name = template.prefix if template.fixed else ""
+        by_tail.setdefault((tail, name, template.ending), []).append(template)
+    joined: list[Template] = []
+    for (tail, name, ending), some in by_tail.items():
+        depths = {template.folder.count("/") for template in some}
+        if len(depths) == 1 or not any(t.folder.startswith("{") for t in some):
+            joined += some
+            continue
+        members = tuple(
+            Member(member.path, {"id": member.path[: -len(tail) - len(member.name) - 1]})
+            for template in some
+            for member in template.members
+        )
+        same = all(template.fixed for template in some)
+        joined.append(
+            Template("{id}/" + tail, name, "", members, fixed=True)
+            if same
+            else Template("{id}/" + tail, "", ending, members)
+        )
+    return joined
+
+
+def _tail(folder: str) -> str:
+    """Return a folder's path from its first part on whose name says what it holds."""
+    parts = folder.split("/")[:-1]
+    while parts and not has_role(parts[0]):
+        parts.pop(0)
+    return "".join(f"{part}/" for part in parts)
