@@ -14,37 +14,15 @@ from nimprep.cli.options import json_option
 @click.command()
 @click.argument("src", type=click.Path(path_type=Path))
 @json_option
-@click.option(
-    "--write",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write a description to start from, for convert's --description.",
-)
-def inspect(src: Path, as_json: bool, write: Path | None) -> None:
+def inspect(src: Path, as_json: bool) -> None:
     """Say what SRC is: a folder of images, an archive, a recording or a store.
 
     Files are grouped by pattern, some of each are decoded, and what they are is told by their
     values first and their names second: colour, labels, depth and what its numbers mean, with the
-    evidence. Nothing is written but what --write names.
+    evidence.
     """
-    from nimprep.errors import LayoutError
-    from nimprep.files import check_file, write_whole
     from nimprep.inspection.inspection import inspect_source
     from nimprep.inspection.wording import inspection_text
-    from nimprep.schema import json_bytes
 
-    if write is not None:
-        check_file(write, src)
-    found = inspect_source(src)
-    if write is not None:
-        if found.description is None:
-            raise LayoutError(
-                f"{src}: expected colour images to describe, found {found.what}; "
-                "leave out --write to see what is there"
-            )
-        write_whole(write, json_bytes(found.description), src)
-        found.next_steps = [
-            f"look through {write}, then: nimprep convert {src} OUT.zarr --description {write}"
-        ]
-    document = found.to_dict()
+    document = inspect_source(src).to_dict()
     echo(json.dumps(document, indent=2) if as_json else inspection_text(document), lines=True)

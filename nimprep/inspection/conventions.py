@@ -20,15 +20,15 @@ class Convention:
         Metres (or pixels of disparity) per raw unit.
     points : float
     about : str
-    values : str
-        What it is about: "depth", "distance" or "disparity".
+    along_ray : bool
+        It is distance along the ray.
     """
 
     pattern: str
     scale: float
     points: float
     about: str
-    values: str = "depth"
+    along_ray: bool = False
 
 
 _STAMPS = r"^(rgb|color)/\d{9,}\.\d+|^depth/\d{9,}\.\d+"
@@ -79,8 +79,8 @@ CONVENTIONS: tuple[Convention, ...] = (
         2,
         "sensors' depth, ScanNet's and SUN RGB-D's is in millimetres",
     ),
-    Convention(r"hypersim|depth_meters", 1, 3, "Hypersim has distance along the ray", "distance"),
-    Convention(r"euclid|distance|(^|[/_])range", 1, 2, "named as a distance", "distance"),
+    Convention(r"hypersim|depth_meters", 1, 3, "Hypersim has distance along the ray", True),
+    Convention(r"euclid|distance|(^|[/_])range", 1, 2, "named as a distance", True),
 )
 
 

@@ -18,6 +18,7 @@ from nimprep.inspection.encodings import (
     encodings_of_bytes,
 )
 from nimprep.inspection.examination import CameraFiles, Examination, Plane
+from nimprep.inspection.kinds import Kind
 from nimprep.inspection.planes import byte_order
 from nimprep.inspection.raw_depth import ground_of, planes_of, raw_depth_of
 
@@ -37,7 +38,7 @@ def depth_encodings(found: Examination, plane: Plane) -> list[Encoding]:
         return encodings_of_bytes(pixels, order, clues) if order else []
     planes = planes_of(plane.samples, plane.guess.channel)
     kind, why = _kind(plane)
-    if kind == "depth":
+    if kind == Kind.DEPTH:
         return [_with(each, why) for each in encodings_of(planes, clues)]
     disparities = disparities_of(planes, clues)
     named = re.search(r"_disparity\.\w+$", plane.pattern) and planes[0].dtype == np.uint16
@@ -58,11 +59,11 @@ def _kind(plane: Plane) -> tuple[str, str]:
     ground = None if raw is None else ground_of(raw)
     if ground is None:
         return plane.kind, ""
-    if plane.kind == "depth" and ground.slope > 0 and ground.disparity_fit > 0.9:
+    if plane.kind == Kind.DEPTH and ground.slope > 0 and ground.disparity_fit > 0.9:
         why = "named depth, but values grow evenly towards the bottom, as disparity does"
-        return "disparity", why
-    if plane.kind == "disparity" and ground.slope < 0 and ground.depth_fit > 0.9:
-        return "depth", "named disparity, but values fall towards the bottom, as depth does"
+        return Kind.DISPARITY, why
+    if plane.kind == Kind.DISPARITY and ground.slope < 0 and ground.depth_fit > 0.9:
+        return Kind.DEPTH, "named disparity, but values fall towards the bottom, as depth does"
     return plane.kind, ""
 
 
@@ -97,7 +98,7 @@ def _fitness(camera: CameraFiles, plane: Plane) -> tuple[bool, bool, int]:
     width, _ = plane.samples[0].size
     numbers = camera.calibration.numbers
     fits = numbers.get("width", 2 * numbers["cx"]) < 1.5 * width
-    depth = "depth" in name and plane.kind == "depth"
+    depth = "depth" in name and plane.kind == Kind.DEPTH
     return fits, depth or "color" in name or "rgb" in name, len(camera.template.members)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.inspection.conventions import MILLIMETRE, Convention
+from nimprep.inspection.kinds import Kind
 from nimprep.inspection.raw_depth import Ground, RawDepth, focal_length, ground_of, raw_depth_of
 from nimprep.inspection.samples import roughness
 
@@ -61,7 +62,7 @@ class Clues:
     numbers: Mapping[str, float] = field(default_factory=dict)
     stated: float | None = None
     stated_where: str = ""
-    named: str = "depth"
+    named: Kind = Kind.DEPTH
 
 
 @dataclass(frozen=True)
@@ -163,9 +164,7 @@ def _ranked(
     stated = _stated(clues.stated)
     if stated is not None and not any(math.isclose(stated, s, rel_tol=1e-3) for s in scales):
         scales[stated] = (f"1/{1 / stated:g} m", 0.0)
-    values = "depth"
-    for convention in clues.conventions:
-        values = "distance" if convention.values == "distance" else values
+    along_ray = any(convention.along_ray for convention in clues.conventions)
     found = []
     for scale, (name, points) in scales.items():
         about, more = _plausibility(raw, ground, scale, clues)
@@ -176,16 +175,14 @@ def _ranked(
             reasons.append(f"{clues.stated_where} states {clues.stated:g}")
             score += 6
         for convention in clues.conventions:
-            if convention.values == "depth" and math.isclose(convention.scale, scale):
+            if math.isclose(convention.scale, scale):
                 reasons.append(convention.about)
                 score += convention.points
-            elif convention.values == "distance" and math.isclose(convention.scale, scale):
-                reasons.append(convention.about)
         if raw.whole and "bytes" not in document:
             why, more = _steps(raw, scale)
             reasons += why
             score += more
-        kind = {} if values == "depth" else {"values": values}
+        kind = {"values": "distance"} if along_ray else {}
         found.append(Encoding(name, {**kind, "scale_m": scale, **document}, score, tuple(reasons)))
     return sorted(found, key=lambda encoding: -encoding.score)
 

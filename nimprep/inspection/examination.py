@@ -12,6 +12,7 @@ from nimprep.errors import DecodeError
 from nimprep.files import read_start
 from nimprep.inspection.calibrations import ENDINGS, Calibration, calibration_in
 from nimprep.inspection.holdings import Holding, holding_at
+from nimprep.inspection.kinds import Kind
 from nimprep.inspection.planes import Guess, guessed
 from nimprep.inspection.samples import IMAGES, Sample, sampled
 from nimprep.inspection.survey import Survey
@@ -43,7 +44,7 @@ class Plane:
         return self.template.pattern
 
     @property
-    def kind(self) -> str:
+    def kind(self) -> Kind:
         return self.guess.kind
 
 
@@ -83,7 +84,7 @@ class Examination:
     holdings: list[Holding] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
-    def of_kind(self, *kinds: str) -> list[Plane]:
+    def of_kind(self, *kinds: Kind) -> list[Plane]:
         return [plane for plane in self.planes if plane.kind in kinds]
 
 
@@ -157,7 +158,9 @@ def _add_other(found: Examination, template: Template, problems: Iterable[str] =
             found.cameras.append(CameraFiles(template, calibration))
         else:
             found.texts.append(template)
-    elif template.ending == ".bin" and not has_words(template.pattern, "depth") and _is_scan(path):
+    elif (
+        template.ending == ".bin" and not has_words(template.pattern, Kind.DEPTH) and _is_scan(path)
+    ):
         found.clouds.append(template)
     else:
         found.others.append(template)

@@ -16,6 +16,7 @@ from nimprep.inspection.depth_guess import depth_encodings, sorted_depth
 from nimprep.inspection.encodings import Encoding
 from nimprep.inspection.examination import Examination, Plane, examined
 from nimprep.inspection.holdings import Holding, holding_at
+from nimprep.inspection.kinds import Kind
 from nimprep.inspection.layouts import fitting_reader
 from nimprep.inspection.survey import Survey, survey_folder
 from nimprep.inspection.templates import Template
@@ -270,7 +271,7 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
     for store in survey.stores:
         made.notes.append(f"{store} is a store, which is not looked into; nimprep info says more")
     fitting = fitting_reader(survey.root) if made.source == survey.root else None
-    for plane in sorted_depth(found.of_kind("depth", "disparity")):
+    for plane in sorted_depth(found.of_kind(Kind.DEPTH, Kind.DISPARITY)):
         made.depth.append((plane, depth_encodings(found, plane)))
     near = None if fitting else nearby_dataset(made.source)
     if near is not None:
@@ -281,7 +282,7 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
         made.next_steps = [f"nimprep convert {made.source} OUT.zarr"]
     elif found.planes:
         made.kind, made.what = "images", _summary(found)
-        made.next_steps = [f"nimprep inspect {made.source} --write FILE.json"]
+        made.next_steps = ["write a description of them (schemas/folder.schema.json)"]
     elif found.holdings:
         first = found.holdings[0]
         made.kind = first.kind if first.kind != "image" else "images"

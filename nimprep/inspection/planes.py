@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.inspection.kinds import Kind
 from nimprep.inspection.samples import Sample, roughness
 from nimprep.inspection.words import has_words, hint_of
 
@@ -29,7 +30,7 @@ class Guess:
         The one that counts, where others are empty; "" = all.
     """
 
-    kind: str
+    kind: Kind
     evidence: tuple[str, ...] = ()
     channel: str = ""
 
@@ -45,96 +46,100 @@ def guessed(pattern: str, samples: list[Sample]) -> Guess:
         return _bytes(pattern, hint, named, samples)
     if first.pixels.dtype == np.uint16 and first.channels == 3:
         if all(_equal_channels(sample.pixels) for sample in samples):
-            return Guess("depth", (*named, "three equal 16-bit channels"), "R")
-        if hint == "flow":
-            return Guess("flow", named)
-        if hint == "normals":
-            return Guess("normals", named)
-        return Guess("colour", (*named, "16-bit RGB"))
+            return Guess(Kind.DEPTH, (*named, "three equal 16-bit channels"), "R")
+        if hint == Kind.FLOW:
+            return Guess(Kind.FLOW, named)
+        if hint == Kind.NORMALS:
+            return Guess(Kind.NORMALS, named)
+        return Guess(Kind.COLOUR, (*named, "16-bit RGB"))
     if first.pixels.dtype.kind == "f" and first.channels == 3:
         lengths = np.linalg.norm(first.pixels.reshape(-1, 3)[::97].astype(np.float64), axis=1)
         if abs(float(np.nanmedian(lengths)) - 1) < 0.02:
-            return Guess("normals", (*named, "vectors of length 1"))
-    return Guess("image", (*named, f"{first.channels} channels of {first.pixels.dtype}"))
+            return Guess(Kind.NORMALS, (*named, "vectors of length 1"))
+    return Guess(Kind.IMAGE, (*named, f"{first.channels} channels of {first.pixels.dtype}"))
 
 
-def _one_channel(pattern: str, hint: str, named: tuple[str, ...], samples: list[Sample]) -> Guess:
+def _one_channel(pattern: str, hint: Kind, named: tuple[str, ...], samples: list[Sample]) -> Guess:
     values = [sample.pixels for sample in samples]
     dtype = values[0].dtype
     distinct = max(np.unique(v[:: max(1, v.shape[0] // 200)]).size for v in values)
     if samples[0].kind == "palette":
-        return Guess("label", (*named, "a palette"))
+        return Guess(Kind.LABEL, (*named, "a palette"))
     if dtype.kind == "f":
-        kind = "disparity" if _is_disparity(pattern, hint) else "depth"
+        kind = Kind.DISPARITY if _is_disparity(pattern, hint) else Kind.DEPTH
         return Guess(kind, (*named, f"one channel of {dtype}"))
     if dtype.itemsize > 1:
         few = distinct <= FEW and _blocky(values)
-        if hint in ("label", "instance") or (few and hint not in ("depth", "disparity")):
-            kind = "instances" if hint == "instance" else "label"
+        if hint in (Kind.LABEL, Kind.INSTANCES) or (
+            few and hint not in (Kind.DEPTH, Kind.DISPARITY)
+        ):
+            kind = Kind.INSTANCES if hint == Kind.INSTANCES else Kind.LABEL
             return Guess(kind, (*named, f"{distinct} values"))
-        if hint == "thermal" and not has_words(pattern, "depth"):
-            return Guess("thermal", (*named, f"one channel of {dtype}"))
-        if hint == "confidence":
-            return Guess("confidence", named)
-        kind = "disparity" if _is_disparity(pattern, hint) else "depth"
+        if hint == Kind.THERMAL and not has_words(pattern, Kind.DEPTH):
+            return Guess(Kind.THERMAL, (*named, f"one channel of {dtype}"))
+        if hint == Kind.CONFIDENCE:
+            return Guess(Kind.CONFIDENCE, named)
+        kind = Kind.DISPARITY if _is_disparity(pattern, hint) else Kind.DEPTH
         return Guess(kind, (*named, f"one channel of {dtype}"))
     return _one_byte(pattern, hint, named, distinct, values)
 
 
-def _is_disparity(pattern: str, hint: str) -> bool:
-    return hint == "disparity" or (hint != "depth" and has_words(pattern, "disparity"))
+def _is_disparity(pattern: str, hint: Kind) -> bool:
+    return hint == Kind.DISPARITY or (hint != Kind.DEPTH and has_words(pattern, Kind.DISPARITY))
 
 
 def _one_byte(
-    pattern: str, hint: str, named: tuple[str, ...], distinct: int, values: list[npt.NDArray[Any]]
+    pattern: str, hint: Kind, named: tuple[str, ...], distinct: int, values: list[npt.NDArray[Any]]
 ) -> Guess:
-    if hint == "depth":
+    if hint == Kind.DEPTH:
         if all(int(v.max()) == 255 for v in values):
-            return Guess("picture of depth", (*named, "8 bits, every image stretched up to 255"))
-        return Guess("picture of depth", (*named, "8 bits"))
+            return Guess(Kind.DEPTH_PICTURE, (*named, "8 bits, every image stretched up to 255"))
+        return Guess(Kind.DEPTH_PICTURE, (*named, "8 bits"))
     if _is_disparity(pattern, hint) and distinct > 8:
-        return Guess("disparity", (*named, "8 bits"))
-    if hint in ("confidence", "thermal"):
+        return Guess(Kind.DISPARITY, (*named, "8 bits"))
+    if hint in (Kind.CONFIDENCE, Kind.THERMAL):
         return Guess(hint, named)
-    if distinct <= 2 and max(int(v.max()) for v in values) in (1, 255) and hint != "label":
-        return Guess("mask", (*named, "two values"))
-    if distinct <= FEW and (hint in ("label", "instance") or _blocky(values)):
-        kind = "instances" if hint == "instance" else "label"
+    if distinct <= 2 and max(int(v.max()) for v in values) in (1, 255) and hint != Kind.LABEL:
+        return Guess(Kind.MASK, (*named, "two values"))
+    if distinct <= FEW and (hint in (Kind.LABEL, Kind.INSTANCES) or _blocky(values)):
+        kind = Kind.INSTANCES if hint == Kind.INSTANCES else Kind.LABEL
         return Guess(kind, (*named, f"{distinct} values at most in an image"))
-    if hint == "instance":
-        return Guess("instances", named)
-    return Guess("grey picture", (*named, "8-bit grey"))
+    if hint == Kind.INSTANCES:
+        return Guess(Kind.INSTANCES, named)
+    return Guess(Kind.GREY, (*named, "8-bit grey"))
 
 
-def _bytes(pattern: str, hint: str, named: tuple[str, ...], samples: list[Sample]) -> Guess:
+def _bytes(pattern: str, hint: Kind, named: tuple[str, ...], samples: list[Sample]) -> Guess:
     values = [sample.pixels for sample in samples]
     channels = values[0].shape[2]
     alpha = channels == 4 and any(int(v[..., 3].min()) != int(v[..., 3].max()) for v in values)
     order = byte_order(values)
-    if order and (hint == "depth" or not alpha):
-        return Guess("depth", (*named, f"{order} are bytes of one number: only it is smooth"))
+    if order and (hint == Kind.DEPTH or not alpha):
+        return Guess(Kind.DEPTH, (*named, f"{order} are bytes of one number: only it is smooth"))
     single = _single_channel(values)
-    if single and single != "A" and hint != "depth":
-        return Guess("label", (*named, f"only {single} is not 0"), single)
-    if hint == "hha":
-        return Guess("hha", named)
+    if single and single != "A" and hint != Kind.DEPTH:
+        return Guess(Kind.LABEL, (*named, f"only {single} is not 0"), single)
+    if hint == Kind.HHA:
+        return Guess(Kind.HHA, named)
     if _unit_vectors(values):
-        return Guess("normals", (*named, "the channels are unit vectors"))
-    if hint == "depth":
-        return Guess("picture of depth", (*named, "8-bit colours"))
+        return Guess(Kind.NORMALS, (*named, "the channels are unit vectors"))
+    if hint == Kind.DEPTH:
+        return Guess(Kind.DEPTH_PICTURE, (*named, "8-bit colours"))
     colours = max(_colours(v[..., :3]) for v in values)
-    if colours <= FEW and (hint in ("label", "instance") or _blocky([v[..., 0] for v in values])):
-        if hint == "instance":
-            return Guess("instances", named)
-        if hint != "colour" or colours <= 30:
-            return Guess("colour label", (*named, f"{colours} colours at most in an image"))
-    if hint == "thermal":
-        return Guess("thermal", named)
+    if colours <= FEW and (
+        hint in (Kind.LABEL, Kind.INSTANCES) or _blocky([v[..., 0] for v in values])
+    ):
+        if hint == Kind.INSTANCES:
+            return Guess(Kind.INSTANCES, named)
+        if hint != Kind.COLOUR or colours <= 30:
+            return Guess(Kind.COLOUR_LABEL, (*named, f"{colours} colours at most in an image"))
+    if hint == Kind.THERMAL:
+        return Guess(Kind.THERMAL, named)
     if alpha:
         return Guess(
-            "colour and thermal", (*named, "a fourth channel that varies, so it is no alpha")
+            Kind.COLOUR_AND_THERMAL, (*named, "a fourth channel that varies, so it is no alpha")
         )
-    return Guess("colour", named or ("8-bit RGB",))
+    return Guess(Kind.COLOUR, named or ("8-bit RGB",))
 
 
 def byte_order(values: list[npt.NDArray[Any]]) -> str:

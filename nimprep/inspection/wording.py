@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from nimprep.inspection.kinds import Kind
 from nimprep.text import printable
 
 _MOST_ROWS = 16
@@ -19,7 +20,7 @@ def inspection_text(found: dict[str, Any]) -> str:
     lines += _rows(found["patterns"])
     for number, depth in enumerate(found["depth"][:3]):
         lines += _depth(depth, whole=number == 0)
-    if not found["depth"] and any(p["kind"] == "picture of depth" for p in found["patterns"]):
+    if not found["depth"] and any(p["kind"] == Kind.DEPTH_PICTURE for p in found["patterns"]):
         lines.append("depth: only pictures of it, whose values are no metres; use the raw depth")
     lines += _cameras(found["cameras"])
     if found["splits"]:

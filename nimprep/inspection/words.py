@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
+from nimprep.inspection.kinds import Kind
+
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 
 SPLITS = {
@@ -23,27 +25,27 @@ def _set(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-HINTS: dict[str, frozenset[str]] = {
-    "depth": _set(
+HINTS: dict[Kind, frozenset[str]] = {
+    Kind.DEPTH: _set(
         "depth depths depthmap depthmaps dep dense sparse zbuffer distance range bfx groundtruth "
         "velodyne"
     ),
-    "disparity": _set("disp disps disparity disparities occ noc"),
-    "label": _set(
+    Kind.DISPARITY: _set("disp disps disparity disparities occ noc"),
+    Kind.LABEL: _set(
         "label labels labelled semantic semantics sem seg segs segmentation segmentations gt mask "
         "masks annotation annotations classgt ids trainids parsing fillcolor freespace"
     ),
-    "instance": _set("instance instances panoptic instanceids"),
-    "confidence": _set("conf confidence confidences valid validity uncertainty"),
-    "normals": _set("normal normals normalmap"),
-    "hha": _set("hha"),
-    "thermal": _set("thermal ir infrared infra nir fir lwir tir"),
-    "flow": _set("flow flows opticalflow sceneflow motion"),
-    "colour": _set(
+    Kind.INSTANCES: _set("instance instances panoptic instanceids"),
+    Kind.CONFIDENCE: _set("conf confidence confidences valid validity uncertainty"),
+    Kind.NORMALS: _set("normal normals normalmap"),
+    Kind.HHA: _set(Kind.HHA),
+    Kind.THERMAL: _set("thermal ir infrared infra nir fir lwir tir"),
+    Kind.FLOW: _set("flow flows opticalflow sceneflow motion"),
+    Kind.COLOUR: _set(
         "rgb rgbs color colors colour image images img imgs left right jpegimages photo photos "
         "pylon camera leftimg im"
     ),
-    "camera": _set(
+    Kind.CAMERA: _set(
         "calib calibs calibration calibrations intrinsic intrinsics camera cameras cam cams "
         "extrinsic extrinsics"
     ),
@@ -66,7 +68,7 @@ def has_role(name: str) -> bool:
     return any(word in _ALL for word in words_of(name))
 
 
-def hint_of(pattern: str) -> tuple[str, str]:
+def hint_of(pattern: str) -> tuple[Kind, str]:
     """Return the kind that a pattern's names hint at, and the word; empty where none does.
 
     The file's name counts first, then the folders from the innermost out.
@@ -79,9 +81,9 @@ def hint_of(pattern: str) -> tuple[str, str]:
             for word in words:
                 if word in known:
                     return kind, word
-    return "", ""
+    return Kind.NONE, ""
 
 
-def has_words(pattern: str, kind: str) -> bool:
+def has_words(pattern: str, kind: Kind) -> bool:
     """Tell whether any part of a pattern has a word that hints at a kind."""
     return any(word in HINTS[kind] for word in words_of(re.sub(r"\{\w+\}", "/", pattern)))
