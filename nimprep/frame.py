@@ -155,7 +155,8 @@ class Frame:
 
     def __iter__(self) -> Iterator[str]:
         """Yield the modalities of which the frame has an image."""
-        return (name for name in modality.MODALITIES if self.image(name) is not None)
+        names = dict.fromkeys((*modality.MODALITIES, *self.others))
+        return (name for name in names if self.image(name) is not None)
 
     def image(self, name: str) -> npt.NDArray[Any] | None:
         """Return the image of a modality by its name, an attribute or one of `others`.

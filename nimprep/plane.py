@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ _IN_STORES = (
     "class_pixels chunk_crc32c packed frame y x channel size row column road_column axis "
     "sum_channel sum class_or_ignored modality"
 )
-_IN_FRAMES = "id camera depth_m baseline_m others inputs generator u v inside mask depth3"
+_IN_FRAMES = "id camera depth_m baseline_m others inputs generator planes u v inside mask depth3"
 
 TAKEN = frozenset(f"{_IN_STORES} {_IN_FRAMES}".split())
 """Names that no plane may have, as something else of a frame or a store has them."""
@@ -146,6 +147,7 @@ def by_name(planes: Iterable[Modality]) -> dict[str, Modality]:
     return dict(sorted(found.items()))
 
 
+@lru_cache(maxsize=32)
 def values_of(plane: Modality) -> npt.NDArray[np.float32]:
     """Return the number that each of a plane's integers is, in their order, as unsigned ones.
 
@@ -156,6 +158,7 @@ def values_of(plane: Modality) -> npt.NDArray[np.float32]:
     numbers = (integers.astype(np.float64) * plane.scale + plane.offset).astype(np.float32)
     if plane.has_none:
         numbers[integers == plane.fill] = np.nan
+    numbers.flags.writeable = False
     return numbers
 
 

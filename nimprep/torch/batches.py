@@ -10,7 +10,7 @@ from torch import Tensor
 
 from nimprep.torch.collation import Batch, new_tensor
 from nimprep.torch.scaling import Scaling
-from nimprep.torch.setups import CHANNELS, Selection
+from nimprep.torch.setups import Selection, channels_of
 from nimprep.torch.stored_images import StoredImages
 
 
@@ -48,7 +48,7 @@ class BatchMaker:
             batch["inputs"] = tensors[0] if len(tensors) == 1 else tuple(tensors)
         else:
             for name in self.selection.images:
-                batch[name] = new(CHANNELS[name], height, width)
+                batch[name] = new(channels_of(name), height, width)
         if self.selection.label:
             label = torch.uint8 if self.dtype == "stored" else torch.int64
             batch["label"] = new(height, width, dtype=label)
@@ -81,7 +81,7 @@ class BatchMaker:
         if self.dtype == "stored":
             for name in self.selection.images:
                 place = batch[name][position]
-                flat = place[0] if CHANNELS[name] == 1 else place.permute(1, 2, 0)
+                flat = place[0] if channels_of(name) == 1 else place.permute(1, 2, 0)
                 images.stored(name, index, flat.numpy())
             if self.selection.label:
                 images.stored("label", index, batch["label"][position].numpy())
@@ -103,6 +103,6 @@ class BatchMaker:
         tensors = inputs if isinstance(inputs, tuple) else (inputs,)
         places: list[tuple[str, Tensor]] = []
         for group, tensor in zip(self.selection.inputs, tensors, strict=True):
-            parts = torch.split(tensor[position], [CHANNELS[name] for name in group])
+            parts = torch.split(tensor[position], [channels_of(name) for name in group])
             places += zip(group, parts, strict=True)
         return places

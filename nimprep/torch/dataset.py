@@ -14,7 +14,6 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from nimprep.errors import ArrayError, StoreError
-from nimprep.modality import MODALITIES
 from nimprep.splits import SPLIT_CODES, SplitName
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import Storage
@@ -22,7 +21,7 @@ from nimprep.torch.balance import Weighting, class_weights, frame_weights, label
 from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
-from nimprep.torch.setups import CHANNELS, Setup, check_dtype, select
+from nimprep.torch.setups import Setup, channels_of, check_dtype, select
 from nimprep.torch.stored_images import NormalsFrom, StoredImages, merged_classes
 from nimprep.torch.transforms.foreign import adapted
 from nimprep.torch.transforms.geometry import check_returned
@@ -57,7 +56,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
         One of `SETUPS`: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d; disparity,
         t-disparity, elevation, rgb+disparity, rgb+t-disparity, rgb+elevation, where the store has
         what they need; depth3, depth+mask, depth-minmax, tdisp, rgb+depth3, rgb+depth-minmax,
-        rgb+tdisp: see `nimprep.torch.views`.
+        rgb+tdisp: see `nimprep.torch.views`; and planes that the store has of its own, alone or
+        joined with others: thermal, rgb+thermal, rgb+d+thermal.
     fusion : bool
         Keep the setup's two modalities apart, as a pair, for a network with two encoders.
     modalities : sequence of str, optional
@@ -66,17 +66,20 @@ class StoreDataset(Dataset[dict[str, Any]]):
         Called with each sample before it is normalised: a dict of "rgb" (3, H, W) uint8, "depth"
         (1, H, W) float32 metres, "normal" (3, H, W) float32, "hha" (3, H, W) uint8, "disparity",
         "transformed_disparity", "elevation" (1, H, W) float32 as a `Frame` has them, as far as they
-        are used; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id"; "size" (height,
-        width) without padding; "generator", a `torch.Generator` to draw from, seeded as
-        said above. Returns such a dict. One of `torchvision.transforms.v2` or albumentations 2 is
-        applied to all planes alike; see `nimprep.torch.transforms.Torchvision`.
+        are used; planes (1, H, W) float32 in their units, NaN = none, or uint8, and under "planes"
+        their records, to be handed on; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id";
+        "size" (height, width) without padding; "generator", a `torch.Generator` to draw from,
+        seeded as said above. Returns such a dict. One of `torchvision.transforms.v2` or
+        albumentations 2 is applied to all planes alike; see `nimprep.torch.transforms.Torchvision`.
     normals : str
         "cached" = as stored; "nim", "nim-edge" = computed by that method of `estimate_normals`
         from the stored depth as a frame is read.
     normalize : str or Scaling, optional
         None or "constants": rgb and hha divided by 255, depth by 10 m, disparity by 64 pixels,
-        transformed disparity by 16, elevation by 2 m. "train": mean 0 and standard deviation 1 by
-        the train split's statistics for rgb, depth and hha, the constants for the others.
+        transformed disparity by 16, elevation by 2 m, planes by the largest number, by its size,
+        that their integers say. "train": mean 0 and standard deviation 1 by
+        the train split's statistics for rgb, depth, hha and planes, the constants for the
+        others.
         "imagenet": rgb by the mean and deviation that encoders trained on ImageNet expect, the
         constants for the others. "none":
         rgb and hha in 0-255, the others in metres and pixels. Where there is none of them it is 0,
@@ -88,6 +91,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         "stored": images as the store holds them, one tensor per name, for `Normalize` to do the
         float work on the device: rgb and hha (3, H, W) uint8, normal (3, H, W) int8 or int16,
         depth and disparity (1, H, W) uint16, transformed disparity and elevation (1, H, W) int16,
+        planes (1, H, W) of their own dtype,
         label (H, W) uint8; see `nimprep.modality` for their steps.
     seed : int
         Of the generators that transforms draw from.
@@ -113,7 +117,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         self,
         path: Path | str | Storage,
         split: SplitName | Literal["none"] | None = "train",
-        setup: Setup | None = None,
+        setup: Setup | str | None = None,
         fusion: bool = False,
         transform: Transform | None = None,
         *,
@@ -124,11 +128,17 @@ class StoreDataset(Dataset[dict[str, Any]]):
         dtype: Literal["float32", "stored"] = "float32",
         seed: int = 0,
     ) -> None:
-        self.selection = select(setup, fusion=fusion, modalities=modalities)
-        check_dtype(dtype, self.selection, transform)
         self.store = open_store(path)
+        planes = [plane.name for plane in self.store.planes]
+        self.selection = select(setup, fusion=fusion, modalities=modalities, planes=planes)
+        check_dtype(dtype, self.selection, transform)
         merged = None if classes is None else merged_classes(self.store, classes)
         self.images = StoredImages(self.store, self.selection, normals, merged)
+        self._planes = {
+            plane.name: plane
+            for plane in self.store.planes
+            if plane.name in self.selection.modalities
+        }
         self.split = split
         self.indices = _frames(self.store, split)
         self.ids = tuple(self.store.ids[i] for i in self.indices)
@@ -254,7 +264,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         """Raise where a transform has divided colours by 255 itself: they would be again."""
         for name in self.selection.modalities:
             if (
-                MODALITIES[name].values in ("colors", "levels")
+                self.images.modality(name).values in ("colors", "levels")
                 and changed[name].is_floating_point()
             ):
                 low, high = float(changed[name].min()), float(changed[name].max())
@@ -294,6 +304,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
             "intrinsics": torch.from_numpy(self.store.tables.intrinsics[index].copy()),
             "id": self.ids[item],
             "size": (height, width),
+            **({"planes": self._planes} if self._planes else {}),
         }
 
     def _assembled(self, raw: dict[str, Any]) -> Sample:
@@ -313,7 +324,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
 
     def _joined(self, group: tuple[str, ...], raw: dict[str, Any]) -> Tensor:
         """Normalise the modalities of one tensor into it, one below the other."""
-        channels = [CHANNELS[name] for name in group]
+        channels = [channels_of(name) for name in group]
         out = torch.empty(
             (sum(channels), *raw[self.selection.modalities[0]].shape[-2:]), dtype=torch.float32
         )

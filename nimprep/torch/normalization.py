@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from nimprep.modality import Modality
+from nimprep.plane import values_of
 from nimprep.torch.dataset import StoreDataset
-from nimprep.torch.setups import CHANNELS
+from nimprep.torch.setups import channels_of
 
 
 class Normalize(nn.Module):
@@ -37,8 +38,9 @@ class Normalize(nn.Module):
         batch : dict
             Of rgb, hha (B, 3, H, W) uint8, depth, disparity (B, 1, H, W) uint16,
             transformed_disparity, elevation (B, 1, H, W) int16, all in the steps of
-            `nimprep.modality`, normal (B, 3, H, W) int8 or int16, label (B, H, W) uint8, as far
-            as the setup has them. One sample without B will do as well.
+            `nimprep.modality`, planes (B, 1, H, W) of their dtype, normal (B, 3, H, W) int8 or
+            int16, label (B, H, W) uint8, as far as the setup has them. One sample
+            without B will do as well.
 
         Returns
         -------
@@ -60,7 +62,7 @@ class Normalize(nn.Module):
 
     def _joined(self, group: tuple[str, ...], batch: dict[str, Tensor]) -> Tensor:
         first = batch[group[0]]
-        channels = [CHANNELS[name] for name in group]
+        channels = [channels_of(name) for name in group]
         shape = (*first.shape[:-3], sum(channels), *first.shape[-2:])
         out = torch.empty(shape, dtype=torch.float32, device=first.device)
         for name, part in zip(group, torch.split(out, channels, dim=-3), strict=True):
@@ -70,6 +72,10 @@ class Normalize(nn.Module):
 
 def _physical(modality: Modality, stored: Tensor) -> Tensor:
     """Return numbers in their units and vectors of unit length; colours as they are."""
+    if modality.values == "measures" and not modality.is_plain:
+        # A table of all integers: exactly what a frame has, and none as NaN.
+        numbers = torch.from_numpy(values_of(modality).copy()).to(stored.device)
+        return numbers[stored.to(torch.int64) % len(numbers)]
     if modality.values == "numbers":
         numbers = stored.to(torch.float32) / modality.steps
         return numbers.masked_fill(stored == modality.fill, torch.nan) if modality.fill else numbers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -15,7 +15,7 @@ from torch import Tensor
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES
 from nimprep.store.statistics import ROWS, channel_statistics
-from nimprep.torch.setups import CHANNELS
+from nimprep.torch.setups import channels_of
 
 if TYPE_CHECKING:
     from nimprep.store.reader import Store
@@ -42,13 +42,15 @@ Normalization = Literal["constants", "train", "imagenet", "none"]
 class Scaling:
     """Scale and offset per modality and channel.
 
-    A pixel without depth, normal, HHA or disparity stays 0 whatever the scaling, so that 0 says
-    "none". Transformed disparity and elevation become 0 too where there is none, as if on the road.
+    A pixel without depth, normal, HHA, disparity or a plane's number stays 0 whatever the scaling,
+    so that 0 says "none". Transformed disparity and elevation become 0 too where there is
+    none, as if on the road.
 
     Attributes
     ----------
     scale, offset : dict of modality to tuple of float
-        For rgb and hha in 0-255, depth and elevation in metres, disparities in pixels. Modalities
+        For rgb and hha in 0-255, depth and elevation in metres, disparities in pixels, planes,
+        which have one channel, in their units. Modalities
         not named are left as they are; normals always are.
     """
 
@@ -58,7 +60,8 @@ class Scaling:
     def __post_init__(self) -> None:
         for values in (self.scale, self.offset):
             for name, row in values.items():
-                if name not in _CONSTANTS or len(row) != CHANNELS[name]:
+                scaled = name in _CONSTANTS or name not in MODALITIES
+                if not scaled or len(row) != channels_of(name):
                     raise ArrayError(
                         f"scaling: expected a number per channel of {', '.join(_CONSTANTS)}, "
                         f"found {len(row)} of {name!r}"
@@ -89,8 +92,9 @@ class Scaling:
     def from_statistics(cls, store: Store, names: Iterable[str], split: str = "train") -> Scaling:
         """Bring each channel to mean 0 and standard deviation 1 over a split's pixels.
 
-        Of rgb, depth and hha; a store keeps no sums of the others. Disparities and elevation are
-        divided by the constants, which leave the road of transformed disparity and elevation at 0.
+        Of rgb, depth, hha and planes; a store keeps no sums of the others. Disparities and
+        elevation are divided by the constants, which leave the road of transformed disparity and
+        elevation at 0.
 
         Raises
         ------
@@ -100,10 +104,11 @@ class Scaling:
             The split has no frames.
         """
         statistics = channel_statistics(store, split)
+        planes = [plane.name for plane in store.planes]
         scale: dict[str, tuple[float, ...]] = {}
         offset: dict[str, tuple[float, ...]] = {}
         for name in names:
-            if name not in ROWS:
+            if name not in ROWS and name not in planes:
                 scale |= {name: _CONSTANTS[name]} if name in _CONSTANTS else {}
                 continue
             if name not in statistics:
@@ -119,7 +124,7 @@ class Scaling:
 
     def rows(self, name: str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Return a modality's scale and offset, (C,) float32 each."""
-        count = CHANNELS[name]
+        count = channels_of(name)
         return (
             np.array(self.scale.get(name, (1.0,) * count), dtype=np.float32),
             np.array(self.offset.get(name, (0.0,) * count), dtype=np.float32),
@@ -132,20 +137,24 @@ class Scaling:
         ----------
         image : (..., C, H, W) tensor
             rgb and hha in 0-255, depth and elevation in metres, disparities in pixels, normals as
-            unit vectors; none is 0, or NaN where the integers are signed.
+            unit vectors; none is 0, or NaN where the integers are signed and in planes.
         out : (..., C, H, W) float32
             May not overlap the image.
         """
         out.copy_(image)
-        if name not in _CONSTANTS:
+        if name in MODALITIES and name not in _CONSTANTS:
             return
         scale, offset = (torch.from_numpy(row).to(out.device) for row in self.rows(name))
         out.mul_(scale[:, None, None]).add_(offset[:, None, None])
-        modality = MODALITIES[name]
-        if math.isnan(modality.absent):
+        modality = MODALITIES.get(name)
+        if modality is None or math.isnan(modality.absent):
             out.masked_fill_(image.isnan(), 0)
         elif modality.values != "colors":
             out.masked_fill_((image == 0).all(dim=-3, keepdim=True), 0)
+
+
+def _and(scale: Mapping[str, tuple[float, ...]], scaling: Scaling) -> Scaling:
+    return Scaling({**scaling.scale, **scale}, scaling.offset)
 
 
 def scaling_from(
@@ -156,14 +165,21 @@ def scaling_from(
     Raises
     ------
     ArrayError
-        There is none of that name.
+        There is none of that name; or it scales what the store has not.
     """
+    planes = {plane.name: (1 / plane.divisor,) for plane in store.planes}
     if isinstance(normalize, Scaling):
+        named = {*normalize.scale, *normalize.offset}
+        if unknown := sorted(named - {*_CONSTANTS, *planes}):
+            raise ArrayError(
+                f"scaling: expected some of {', '.join((*_CONSTANTS, *planes))}, found "
+                f"{unknown[0]!r}"
+            )
         return normalize
     if normalize is None or normalize == "constants":
-        return Scaling.constants()
+        return _and(planes, Scaling.constants())
     if normalize == "imagenet":
-        return Scaling.imagenet()
+        return _and(planes, Scaling.imagenet())
     if normalize == "none":
         return Scaling.none()
     if normalize == "train":

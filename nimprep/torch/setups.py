@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,6 +16,12 @@ CHANNELS: dict[str, int] = {
     if modality.values != "classes"
 } | {name: view.channels for name, view in VIEWS.items()}
 """Channels that each modality, and each view of one, gives a network."""
+
+
+def channels_of(name: str) -> int:
+    """Return the channels of a modality, a view of one, or a plane, which has one."""
+    return CHANNELS.get(name, 1)
+
 
 Setup = Literal[
     "rgb",
@@ -107,13 +113,23 @@ class Selection:
     @property
     def channels(self) -> tuple[int, ...]:
         """Channels of each tensor in "inputs", or of each image where there are none."""
-        return tuple(sum(CHANNELS[name] for name in group) for group in self.groups)
+        return tuple(sum(channels_of(name) for name in group) for group in self.groups)
 
 
 def select(
-    setup: Setup | None, *, fusion: bool = False, modalities: Sequence[str] | None = None
+    setup: Setup | str | None,
+    *,
+    fusion: bool = False,
+    modalities: Sequence[str] | None = None,
+    planes: Collection[str] = (),
 ) -> Selection:
     """Return what a setup, or a choice of modalities, puts into a sample.
+
+    Parameters
+    ----------
+    planes : collection of str
+        The names of the store's own, which `modalities` may have too, and setups joined by "+":
+        "rgb+thermal".
 
     Raises
     ------
@@ -126,19 +142,32 @@ def select(
             f"setups are {', '.join(SETUPS)}"
         )
     if modalities is not None:
-        return _own_mix(modalities, fusion)
-    if setup is None or setup not in SETUPS:
-        raise ArrayError(f"setup: expected one of {', '.join(SETUPS)}, found {setup!r}")
-    names = SETUPS[setup]
+        return _own_mix(modalities, fusion, planes)
+    names = _named(str(setup), planes)
     if fusion and len(names) < 2:
         pairs = ", ".join(name for name, parts in SETUPS.items() if len(parts) == 2)
         raise ArrayError(f"fusion: expected a setup of two modalities ({pairs}), found {setup!r}")
     return Selection(names, True, tuple((name,) for name in names) if fusion else (names,))
 
 
-def _own_mix(modalities: Sequence[str], fusion: bool) -> Selection:
+def _named(setup: str, planes: Collection[str]) -> tuple[str, ...]:
+    """Return the modalities of a setup: one of the papers', or with planes, joined by "+"."""
+    known: Mapping[str, tuple[str, ...]] = {str(name): names for name, names in SETUPS.items()}
+    if setup in known:
+        return known[setup]
+    single = {name: names for name, names in known.items() if len(names) == 1}
+    single |= {"d": ("depth",), "normal": ("normal",)} | {name: (name,) for name in planes}
+    parts = setup.split("+")
+    names = tuple(name for part in parts for name in single.get(part, ("",)))
+    if "" in names or not set(names) & set(planes) or len(set(names)) < len(names):
+        also = f", or with {', '.join(planes)}, as in 'rgb+{next(iter(planes))}'" if planes else ""
+        raise ArrayError(f"setup: expected one of {', '.join(SETUPS)}{also}, found {setup!r}")
+    return names
+
+
+def _own_mix(modalities: Sequence[str], fusion: bool, planes: Collection[str]) -> Selection:
     names = (modalities,) if isinstance(modalities, str) else tuple(modalities)
-    known = (*MODALITIES, *VIEWS)
+    known = (*MODALITIES, *VIEWS, *planes)
     unknown = [name for name in names if name not in known]
     if unknown or not names or len(set(names)) < len(names):
         raise ArrayError(
@@ -146,7 +175,8 @@ def _own_mix(modalities: Sequence[str], fusion: bool) -> Selection:
         )
     if fusion:
         raise ArrayError("fusion: expected a setup to fuse, found modalities; they come apart")
-    return Selection(tuple(name for name in names if name in CHANNELS), "label" in names, ())
+    images = tuple(name for name in names if name in CHANNELS or name in planes)
+    return Selection(images, "label" in names, ())
 
 
 def check_dtype(dtype: str, selection: Selection, transform: object) -> None:

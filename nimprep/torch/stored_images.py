@@ -18,6 +18,7 @@ from nimprep.errors import ArrayError, StoreError
 from nimprep.frame import IGNORE_LABEL
 from nimprep.kernels import samples
 from nimprep.modality import MODALITIES, Modality
+from nimprep.plane import values_of
 from nimprep.store.buffers import empty
 from nimprep.store.frames import (
     depth_from_millimetres,
@@ -134,6 +135,10 @@ class StoredImages:
         if modality.values == "numbers":
             fill, steps = modality.fill, modality.steps
             samples.scaled_plane(stored, fill, steps, scale[0], offset[0], planes[0])
+        elif modality.values == "measures":
+            numbers = values_of(modality) * scale[0] + offset[0]
+            numbers[np.isnan(numbers)] = 0
+            planes[0] = numbers.take(stored.view(f"uint{8 * stored.dtype.itemsize}"))
         elif modality.values == "levels":
             samples.scaled_some(stored, scale, offset, planes)
         else:
@@ -147,8 +152,8 @@ class StoredImages:
         """Return an image as transforms take it.
 
         rgb and hha (3, H, W) uint8, depth, disparity, transformed_disparity and elevation
-        (1, H, W) float32 as a `Frame` has them, normal (3, H, W) float32 unit vectors, label (H, W)
-        int64.
+        (1, H, W) float32 as a `Frame` has them, planes (1, H, W) float32 or uint8 likewise, normal
+        (3, H, W) float32 unit vectors, label (H, W) int64.
         """
         modality = self.modality(name)
         if modality.values == "vectors":

@@ -10,6 +10,10 @@ normalised or stacked, with those of these keys that are wanted:
 ``transformed_disparity`` float32 (1, H, W), pixels 0 on the road; NaN = none
 ``elevation``             float32 (1, H, W), metres 0 on the road; NaN = none
 ``normal``                float32 (3, H, W)         unit vectors; (0, 0, 0) = none
+a plane's name            float32 (1, H, W), or     in its units, NaN = none
+                          uint8 (1, H, W)
+``planes``                dict                      each plane's record by its name, where there
+                                                    are any: whoever drops it loses the planes
 ``label``                 int64 (H, W)              255 = ignore
 ``intrinsics``            float64 (3, 3), pixels    K
 ``size``                  (height, width)           of the frame itself, at the top left; what lies

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from nimprep.errors import ArrayError
-from nimprep.modality import MODALITIES
-from nimprep.torch.transforms.geometry import IMAGES, Sample, frame_size
+from nimprep.modality import MODALITIES, Modality
+from nimprep.torch.transforms.geometry import Sample, frame_size, records
 
 _COLORS = {name for name, modality in MODALITIES.items() if modality.values == "colors"}
 
@@ -171,10 +171,9 @@ def _planes(sample: Sample) -> Planes:
     """Return a sample's planes without padding, and those that tell what happened to them."""
     height, width = frame_size(sample)
     planes = {}
-    for name in IMAGES:
-        if name in sample:
-            plane = sample[name][..., :height, :width].contiguous()
-            planes[name] = plane.to(torch.uint8)[None] if plane.ndim == 2 else plane
+    for name in records(sample):
+        plane = sample[name][..., :height, :width].contiguous()
+        planes[name] = plane.to(torch.uint8)[None] if plane.ndim == 2 else plane
     rows = torch.arange(height, dtype=torch.float32)[:, None]
     columns = torch.arange(width, dtype=torch.float32)
     planes["u"] = columns.expand(1, height, width).contiguous()
@@ -194,8 +193,8 @@ def _sample(before: Sample, planes: Planes, names: str) -> Sample:
     move = _move(planes["u"][0].double(), planes["v"][0].double(), inside)
     _check(move, before, names)
     after: Sample = {**before, "size": sizes.pop()}
-    for name in _images(before):
-        after[name] = _moved(name, planes[name], inside, move)
+    for name, modality in records(before).items():
+        after[name] = _moved(modality, planes[name], inside, move)
     if "intrinsics" in before:
         k: Tensor = before["intrinsics"]
         if move.kind == "warp":
@@ -208,7 +207,7 @@ def _sample(before: Sample, planes: Planes, names: str) -> Sample:
 
 
 def _images(sample: Sample) -> list[str]:
-    return [name for name in IMAGES if name in sample]
+    return list(records(sample))
 
 
 @dataclass(frozen=True)
@@ -289,6 +288,8 @@ def _check(move: _Move, sample: Sample, names: str) -> None:
     if move.kind == "straight":
         return
     most = {"rgb", "label", "depth"} if move.kind == "turn" else {"rgb", "label"}
+    # Numbers of a plane have no direction and no place: they stay what they are.
+    most |= sample.get("planes", {}).keys()
     if others := [name for name in _images(sample) if name not in most]:
         raise ArrayError(
             f"{names}: expected crops, flips and resizing of a sample with {', '.join(others)}, "
@@ -297,9 +298,8 @@ def _check(move: _Move, sample: Sample, names: str) -> None:
         )
 
 
-def _moved(name: str, plane: Tensor, inside: Tensor, move: _Move) -> Tensor:
-    modality = MODALITIES[name]
-    if name in _COLORS:
+def _moved(modality: Modality, plane: Tensor, inside: Tensor, move: _Move) -> Tensor:
+    if modality.name in _COLORS:
         return plane
     if modality.values == "classes":
         plane = plane[0].to(torch.int64)
@@ -319,6 +319,6 @@ def _padded(before: Sample, after: Sample) -> Sample:
     if size == full or size != frame_size(before):
         return after
     padding = (0, full[1] - size[1], 0, full[0] - size[0])
-    for name in _images(before):
-        after[name] = torch.nn.functional.pad(after[name], padding, value=MODALITIES[name].absent)
+    for name, modality in records(before).items():
+        after[name] = torch.nn.functional.pad(after[name], padding, value=modality.absent)
     return after

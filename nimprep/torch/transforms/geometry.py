@@ -10,12 +10,18 @@ from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
 from nimprep.errors import ArrayError
-from nimprep.modality import MODALITIES
+from nimprep.modality import MODALITIES, Modality
 
 Sample = dict[str, Any]
 
 IMAGES = tuple(MODALITIES)
-"""The keys of a sample that are images; all of one size."""
+"""The keys of any sample that are images; all of one size. Planes of a dataset come after them."""
+
+
+def records(sample: Mapping[str, Any]) -> dict[str, Modality]:
+    """Return what is known of each image in a sample, by its key; planes bring it along."""
+    known = {**MODALITIES, **sample.get("planes", {})}
+    return {name: modality for name, modality in known.items() if name in sample}
 
 
 def frame_size(sample: Sample) -> tuple[int, int]:
@@ -26,7 +32,7 @@ def frame_size(sample: Sample) -> tuple[int, int]:
     ArrayError
         The sample has no image, images of several sizes, or a size larger than they are.
     """
-    shapes = {name: tuple(sample[name].shape[-2:]) for name in IMAGES if name in sample}
+    shapes = {name: tuple(sample[name].shape[-2:]) for name in records(sample)}
     if len(set(shapes.values())) != 1:
         raise ArrayError(f"sample: expected images of one size, found {shapes or 'no image'}")
     padded = next(iter(shapes.values()))
@@ -56,10 +62,11 @@ def check_returned(sample: Any, frame_id: str, given: Collection[str]) -> None:
     needed = [name for name in given if name != "generator"]
     if missing := [name for name in needed if name not in sample]:
         raise ArrayError(f"{where} {missing[0]} from the transform, found {', '.join(sample)}")
-    images = {name: sample[name] for name in IMAGES if name in needed}
+    known = records(sample)
+    images = {name: sample[name] for name in known if name in needed}
     for name, image in images.items():
-        shape: tuple[Any, ...] = (MODALITIES[name].channel_count, "H", "W")
-        if MODALITIES[name].values == "classes":
+        shape: tuple[Any, ...] = (known[name].channel_count, "H", "W")
+        if known[name].values == "classes":
             shape = shape[1:]
         if not isinstance(image, Tensor):
             raise ArrayError(f"{where} tensors from the transform, found {name} {type(image)}")
@@ -81,9 +88,9 @@ def check_returned(sample: Any, frame_id: str, given: Collection[str]) -> None:
         )
 
 
-def _with_images(sample: Sample, change: Callable[[str, Tensor], Tensor]) -> Sample:
+def _with_images(sample: Sample, change: Callable[[Modality, Tensor], Tensor]) -> Sample:
     """Return a copy of the sample with every image changed, `size` not yet."""
-    changed = {name: change(name, sample[name]) for name in IMAGES if name in sample}
+    changed = {name: change(modality, sample[name]) for name, modality in records(sample).items()}
     return {**sample, **changed}
 
 
@@ -99,7 +106,8 @@ def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample
     """Cut out the window that starts at pixel (left, top) of the frame; the camera moves along.
 
     Where the window leaves the frame at the bottom or the right, the rest is padding: 0, 255 for
-    labels, NaN for transformed disparity and elevation. `size` becomes that of the part inside.
+    labels, NaN for transformed disparity, elevation and planes that can be none, what a stored 0
+    stands for in other planes. `size` becomes that of the part inside.
 
     Raises
     ------
@@ -115,11 +123,11 @@ def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample
     bottom, right = min(top + height, frame_height), min(left + width, frame_width)
     beyond = (0, left + width - right, 0, top + height - bottom)
 
-    def cut(name: str, image: Tensor) -> Tensor:
+    def cut(modality: Modality, image: Tensor) -> Tensor:
         inside = image[..., top:bottom, left:right]
         if not any(beyond):
             return inside
-        return pad(inside, beyond, value=MODALITIES[name].absent)
+        return pad(inside, beyond, value=modality.absent)
 
     result = {**_with_images(sample, cut), "size": (bottom - top, right - left)}
     return _with_camera(result, [[1, 0, -left], [0, 1, -top], [0, 0, 1]])
@@ -133,9 +141,9 @@ def flip(sample: Sample) -> Sample:
     """
     _, width = frame_size(sample)
 
-    def mirror(name: str, image: Tensor) -> Tensor:
+    def mirror(modality: Modality, image: Tensor) -> Tensor:
         mirrored = torch.cat([image[..., :width].flip(-1), image[..., width:]], dim=-1)
-        if MODALITIES[name].flip == "mirror and negate x":
+        if modality.flip == "mirror and negate x":
             # Taken from 0, so that none stays 0 and does not become -0.
             mirrored[0] = 0 - mirrored[0]
         return mirrored
@@ -156,7 +164,8 @@ def resize(sample: Sample, height: int, width: int) -> Sample:
     the area where the image shrinks, normals likewise and then brought to unit length. HHA and
     normals are interpolated from the pixels that have them and are there where the nearest pixel
     has them, so a normal is exactly where depth is if it was before. K is scaled with its edges
-    aligned; a different scale in x and y changes the camera, not the normals.
+    aligned; a different scale in x and y changes the camera, not the normals. Planes
+    take the nearest pixel, or are interpolated from pixels that have a number, as records say.
 
     Notes
     -----
@@ -174,12 +183,16 @@ def resize(sample: Sample, height: int, width: int) -> Sample:
     old_height, old_width = frame_size(sample)
     rows, columns = _nearest(old_height, height), _nearest(old_width, width)
 
-    def scale(name: str, image: Tensor) -> Tensor:
+    def scale(modality: Modality, image: Tensor) -> Tensor:
         image = image[..., :old_height, :old_width]
         nearest = image[..., rows[:, None], columns]
-        match MODALITIES[name].resize:
-            case "linear":
+        match modality.resize:
+            case "linear" if image.dtype == torch.uint8:
                 return _linear_bytes(image, height, width)
+            case "linear":
+                return _linear(image, height, width)
+            case "linear where some" if modality.values == "measures":
+                return _linear_numbers(image, nearest, height, width)
             case "linear where some":
                 return _rounded(_linear_where_known(image.float(), nearest, height, width))
             case "unit vectors":
@@ -227,6 +240,14 @@ def _linear_where_known(image: Tensor, nearest: Tensor, height: int, width: int)
     there = (nearest != 0).any(dim=0, keepdim=True)
     # The nearest pixel has a share of its own, so there is one wherever it is known.
     return torch.where(there, both[:-1] / torch.where(there, share, 1.0), 0.0)
+
+
+def _linear_numbers(image: Tensor, nearest: Tensor, height: int, width: int) -> Tensor:
+    """Interpolate (1, H, W) from pixels that are no NaN; NaN where the nearest pixel is."""
+    known = ~image.isnan()
+    mixed, share = _linear(torch.cat([image.nan_to_num(0), known.to(image)]), height, width)
+    there = ~nearest[0].isnan()
+    return torch.where(there, mixed / torch.where(there, share, 1.0), torch.nan)[None]
 
 
 def _unit_normals(mixed: Tensor, nearest: Tensor) -> Tensor:
