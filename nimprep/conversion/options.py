@@ -8,7 +8,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, TypedDict
 
-from nimprep.derive.methods import Fill, Method
+from nimprep.derive.methods import Fill, Ground, Method
 from nimprep.derive.recipe import Recipe, RecipeOptions
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES, given_for, modality_name
@@ -142,6 +142,7 @@ class ConvertKeywords(RunKeywords, ReaderKeywords, total=False):
     normals: Method
     sign_filter: bool
     noise: float | None
+    hha_ground: Ground
     fill: Fill
     store_filled: bool
     crop: Literal["auto"] | tuple[int, int, int, int] | None

@@ -131,16 +131,31 @@ def estimate_gravity(
     return gravity_of_scene(scene_from_depth(depth_m, camera, missing, num_threads))
 
 
-def gravity_of_scene(scene: Scene) -> npt.NDArray[np.float64]:
-    """Estimate gravity, (3,) float64, as `estimate_gravity` does."""
+def normals_of_scene(scene: Scene) -> npt.NDArray[np.float64]:
+    """Return the planes' normals that gravity is estimated from, (3, H, W); 0 = none."""
     blocks = scene.blocks
     normals = np.empty((3, *scene.depth_m.shape))
-    sums = np.empty((len(blocks), 6))
 
     def fit(block: int) -> None:
         plane_block(scene.inverse, *blocks[block], _RADIUS, scene.camera, normals, 0)
 
     run_blocks(fit, len(blocks), scene.num_threads)
+    return normals
+
+
+def gravity_of_scene(
+    scene: Scene, normals: npt.NDArray[np.float64] | None = None
+) -> npt.NDArray[np.float64]:
+    """Estimate gravity, (3,) float64, as `estimate_gravity` does.
+
+    Parameters
+    ----------
+    normals : (3, H, W) float64, optional
+        The scene's, where they are known already.
+    """
+    normals = normals_of_scene(scene) if normals is None else normals
+    blocks = scene.blocks
+    sums = np.empty((len(blocks), 6))
     gravity = np.array([0.0, 1.0, 0.0])
     for degrees in _ROUNDS_DEG:
         direction = tuple(gravity.tolist())

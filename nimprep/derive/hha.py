@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from nimprep.arrays import floats
 from nimprep.camera import Camera
-from nimprep.derive.gravity import Scene, gravity_of_scene, scene_from_depth
+from nimprep.derive.gravity import Scene, gravity_of_scene, normals_of_scene, scene_from_depth
+from nimprep.derive.methods import GROUNDS, Ground
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.errors import ArrayError
-from nimprep.kernels.hha_channels import encode_block, lowest_block
+from nimprep.kernels.hha_channels import encode_block, floor_depths_block, lowest_block
 from nimprep.kernels.hha_lines import reference_normals
 from nimprep.kernels.hha_planes import plane_block
 from nimprep.parallel import run_blocks
@@ -21,6 +22,16 @@ _RADIUS = 3
 _NO_ROTATION_BELOW_DEG = 0.1
 _LOWEST_GROUND_CM = -90.0
 _ASSUMED_GROUND_CM = -130.0
+
+# Of the floor: how its normals may lean, the least share of the pixels, which of its heights counts
+# for the ground, how deep below that is 0, and how deep it can lie.
+_FLOOR_DEG = 15.0
+_LEAST_FLOOR = 0.02
+_LOW_SHARE = 0.1
+_SUNK_CM = 20.0
+_DEEPEST_CM = 4096
+
+Vector = tuple[float, float, float]
 
 
 def _angle_levels(
@@ -45,6 +56,7 @@ def encode_hha(
     missing: Any = None,
     gravity: Any = None,
     num_threads: int | None = None,
+    ground: Ground = "lowest",
 ) -> npt.NDArray[np.uint8]:
     """Encode a depth image as HHA.
 
@@ -63,11 +75,14 @@ def encode_hha(
         of any length. Estimated where not given.
     num_threads : int, optional
         None = one thread per core, 1 = the calling thread alone. The result is the same.
+    ground : {"lowest", "floor"}
+        Where heights are counted from: the reference's lowest point, or the floor, of which 20 cm
+        are taken off so that holes in a road stay visible.
 
     Returns
     -------
     (H, W, 3) uint8
-        Horizontal disparity, 31000 / max(Z, 100) with Z in cm; height above the lowest point, cm;
+        Horizontal disparity, 31000 / max(Z, 100) with Z in cm; height above the ground, cm;
         angle between normal and gravity, degrees, plus 38 (floor 38, wall 128, ceiling 218). Each
         rounded to nearest even and cut to 255. (0, 0, 0) where there is no depth, and nowhere else.
 
@@ -75,7 +90,7 @@ def encode_hha(
     ------
     ArrayError
         An array of the wrong shape, type or values, or depth that is not in metres: its median
-        lies outside 0.05 to 100.
+        lies outside 0.05 to 100; or `ground` is neither.
 
     Notes
     -----
@@ -85,7 +100,12 @@ def encode_hha(
     reproduced, so that the pixels are the reference's.
 
     Where the lowest point is less than 90 cm below the camera, no ground is taken to be in view and
-    the ground to be 130 cm below the camera.
+    the ground to be 130 cm below the camera. One outlier is enough for a lowest point far below the
+    road, above which all else is 255.
+
+    The floor is the pixels below the camera whose plane, fitted to the window of radius 10 as for
+    gravity, has a normal within 15 degrees of it; its height is the one that a tenth of them do not
+    exceed. Where fewer than 2 % of the pixels with depth are floor, the lowest point is taken.
 
     References
     ----------
@@ -93,25 +113,49 @@ def encode_hha(
     ECCV 2014.
     """
     known = None if gravity is None else _checked_gravity(gravity)
-    scene = scene_from_depth(depth_m, camera, missing, num_threads)
-    direction = gravity_of_scene(scene) if known is None else known
-    return _encode_scene(scene, direction)
+    return _hha_and_gravity(scene_from_depth(depth_m, camera, missing, num_threads), known, ground)[
+        0
+    ]
 
 
 def encode_hha_and_gravity(
-    depth_m: Any, camera: Camera, missing: Any = None, num_threads: int | None = None
+    depth_m: Any,
+    camera: Camera,
+    missing: Any = None,
+    num_threads: int | None = None,
+    ground: Ground = "lowest",
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
     """Return what `encode_hha` and `estimate_gravity` do, in less time than one after the other."""
     scene = scene_from_depth(depth_m, camera, missing, num_threads)
-    gravity = gravity_of_scene(scene)
-    return _encode_scene(scene, _checked_gravity(gravity)), gravity
+    return _hha_and_gravity(scene, None, ground)
 
 
-def _encode_scene(scene: Scene, gravity: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-    out = np.empty((*scene.depth_m.shape, 3), np.uint8)
-    blocks = scene.blocks
+def _hha_and_gravity(
+    scene: Scene, known: npt.NDArray[np.float64] | None, ground: Ground
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
+    if ground not in GROUNDS:
+        raise ArrayError(f"ground: expected one of {', '.join(GROUNDS)}, found {ground!r}")
+    normals = normals_of_scene(scene) if known is None or ground == "floor" else None
+    gravity = gravity_of_scene(scene, normals) if known is None else known
+    toward = _checked_gravity(gravity)
+    down = _down(toward)
+    zero = None
+    if normals is not None and ground == "floor":
+        zero = _floor_cm(scene, normals, toward, down)
+    zero = _lowest_cm(scene, down) if zero is None else zero
+    return _encode_scene(scene, toward, down, zero), gravity
+
+
+def _down(gravity: npt.NDArray[np.float64]) -> Vector:
+    """Return the direction that heights are counted against."""
     tilt = np.degrees(np.arccos(np.clip(gravity[1], -1, 1)))
-    down = tuple(gravity.tolist()) if tilt > _NO_ROTATION_BELOW_DEG else (0.0, 1.0, 0.0)
+    x, y, z = gravity.tolist()
+    return (x, y, z) if tilt > _NO_ROTATION_BELOW_DEG else (0.0, 1.0, 0.0)
+
+
+def _lowest_cm(scene: Scene, down: Vector) -> float:
+    """Return the height of the lowest point, cm above the camera, or of an assumed ground."""
+    blocks = scene.blocks
     lowest = np.empty(len(blocks))
 
     def find_lowest(block: int) -> None:
@@ -119,8 +163,38 @@ def _encode_scene(scene: Scene, gravity: npt.NDArray[np.float64]) -> npt.NDArray
 
     run_blocks(find_lowest, len(blocks), scene.num_threads)
     ground = float(lowest.min())
-    if ground > _LOWEST_GROUND_CM:
-        ground = _ASSUMED_GROUND_CM
+    return _ASSUMED_GROUND_CM if ground > _LOWEST_GROUND_CM else ground
+
+
+def _floor_cm(
+    scene: Scene, normals: npt.NDArray[np.float64], gravity: npt.NDArray[np.float64], down: Vector
+) -> float | None:
+    """Return the height that becomes 0, 20 cm below the floor's; None = no floor in view."""
+    blocks = scene.blocks
+    counts = np.zeros((len(blocks), _DEEPEST_CM + 1), np.int64)
+    cosine = float(np.cos(np.radians(_FLOOR_DEG)))
+    toward = tuple(gravity.tolist())
+
+    def count(block: int) -> None:
+        frame = scene.depth_m, normals, *blocks[block], scene.camera
+        floor_depths_block(*frame, toward, down, cosine, counts[block])
+
+    run_blocks(count, len(blocks), scene.num_threads)
+    *below, known = counts.sum(axis=0).tolist()
+    floor = sum(below)
+    if floor < max(_LEAST_FLOOR * known, 1):
+        return None
+    # From the deepest up: a tenth of the floor lies as deep or deeper.
+    deepest = np.cumsum(below[::-1])
+    depth = len(below) - 1 - int(np.searchsorted(deepest, _LOW_SHARE * floor))
+    return -float(depth) - 1 - _SUNK_CM
+
+
+def _encode_scene(
+    scene: Scene, gravity: npt.NDArray[np.float64], down: Vector, ground: float
+) -> npt.NDArray[np.uint8]:
+    out = np.empty((*scene.depth_m.shape, 3), np.uint8)
+    blocks = scene.blocks
     toward = tuple(gravity.tolist())
 
     def encode(block: int) -> None:
@@ -151,14 +225,21 @@ def _checked_gravity(gravity: Any) -> npt.NDArray[np.float64]:
 def make_hha(given: Given) -> Made:
     """Encode a frame's HHA, with the direction of gravity that its calibration says or shows."""
     frame, transform = given.frame, given.frame.cam_to_road
+    ground = given.recipe.hha_ground
     if transform is None:
-        return Made(
-            *encode_hha_and_gravity(given.depth_m, frame.camera, given.missing, num_threads=1)
-        )
+        return Made(*encode_hha_and_gravity(given.depth_m, frame.camera, given.missing, 1, ground))
     # The road frame's y axis points down, as the camera's does.
     gravity = transform[:, :3].T @ (0.0, 1.0, 0.0)
-    hha = encode_hha(given.depth_m, frame.camera, given.missing, gravity, num_threads=1)
+    hha = encode_hha(given.depth_m, frame.camera, given.missing, gravity, 1, ground)
     return Made(hha, gravity)
+
+
+_HEIGHTS: dict[Ground, str] = {
+    "lowest": "cm above the frame's lowest point, or above a ground 130 cm below the camera where "
+    "no point lies 90 cm below it",
+    "floor": "cm above 20 cm below the floor, which a tenth of the pixels with level planes below "
+    "the camera do not exceed; in frames without such pixels as with lowest",
+}
 
 
 def describe_hha(recipe: Recipe) -> dict[str, Any]:
@@ -169,8 +250,9 @@ def describe_hha(recipe: Recipe) -> dict[str, Any]:
             "fill": recipe.fill,
             "gravity": "from cam_to_road where a frame has it, else estimated",
             "horizontal_disparity": "31000 / max(depth, 100), depth in cm",
-            "height": "cm above the frame's lowest point, or above a ground 130 cm below "
-            "the camera where no point lies 90 cm below it",
+            # Stores made before there was a choice do not say it.
+            **({} if recipe.hha_ground == "lowest" else {"ground": recipe.hha_ground}),
+            "height": _HEIGHTS[recipe.hha_ground],
             "angle": "degrees between normal and gravity, plus 38: floor 38, wall 128",
         },
     }

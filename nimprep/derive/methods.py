@@ -17,6 +17,11 @@ FillMethod = Literal["nearest", "linear", "colorization"]
 FILL_METHODS: tuple[FillMethod, ...] = get_args(FillMethod)
 """Every method of `nimprep.derive.completion.fill_depth`."""
 
+Ground = Literal["lowest", "floor"]
+"""Where heights of HHA are counted from."""
+
+GROUNDS: tuple[Ground, ...] = get_args(Ground)
+
 Fill = Literal["none", FillMethod]
 
 FILLS: tuple[Fill, ...] = get_args(Fill)

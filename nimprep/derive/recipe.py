@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.derive.methods import FILLS as FILLS
-from nimprep.derive.methods import Fill, Method, check_method
+from nimprep.derive.methods import Fill, Ground, Method, check_method
 from nimprep.errors import ArrayError
 from nimprep.frame import VIRTUAL_BASELINE_M, Frame
 from nimprep.modality import MODALITIES
@@ -36,6 +36,9 @@ class RecipeOptions(Options):
         "Standard deviation of inverse depth for nim-edge, 1/m; default: by each frame.",
         least=0,
         metavar="PER_METRE",
+    )
+    hha_ground: Ground = option(
+        "floor", "Count HHA's heights from the floor, or from the lowest point as the reference."
     )
     fill: Fill = option("none", "Fill holes in depth before normals and HHA are made from it.")
     store_filled: bool = option(False, "Store the filled depth, not the raw one.")
@@ -84,6 +87,7 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
     return Recipe(
         normals=normal["method"],
         sign_filter=bool(normal["parameters"].get("sign_filter", False)),
+        hha_ground=modalities.get("hha", {}).get("parameters", {}).get("ground", "lowest"),
         fill=derived[0].get("fill", "none") if derived else stored.get("fill", "none"),
         store_filled="fill" in stored,
         virtual_baseline_m=_number(

@@ -103,6 +103,8 @@ def decode_exr(data: bytes, path: Path, key: str | None = None) -> npt.NDArray[A
         # Threads of its own would not live across a fork.
         file = OpenEXR.File(str(path), separate_channels=True, num_threads=0)
         planes = [np.asarray(file.channels()[name].pixels) for name in names]
+    except MemoryError:
+        raise
     except Exception as error:  # pybind's classes, by what the library threw
         raise broken(path, "EXR image", f"one that cannot be read: {error!s:.200}") from error
     if any(plane.shape != (header.height, header.width) for plane in planes):

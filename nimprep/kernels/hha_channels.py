@@ -33,6 +33,41 @@ def lowest_block(depth, first, last, camera, down):
     return lowest.min()
 
 
+@kernel(
+    void(
+        _DEPTH,
+        float64[:, :, ::1],
+        int64,
+        int64,
+        _CAMERA,
+        _VECTOR,
+        _VECTOR,
+        float64,
+        int64[::1],
+    )
+)
+def floor_depths_block(depth, normals, first, last, camera, gravity, down, floor_above, counts):
+    """Count by whole centimetres how far the floor's pixels of rows first..last-1 lie below.
+
+    Floor is what has a normal with |n·gravity| > floor_above, and lies below the camera: down·P in
+    cm from 0 to less than counts.size - 1; the last place counts all the pixels with depth.
+    """
+    fx, fy, cx, cy = camera
+    gx, gy, gz = gravity
+    for v in range(first, last):
+        rest = (v - cy) / fy * down[1] + down[2]
+        for u in range(depth.shape[1]):
+            z = decimal_depth(depth[v, u]) * 100
+            if not z > 0:
+                continue
+            counts[counts.size - 1] += 1
+            x, y = normals[0, v, u], normals[1, v, u]
+            cosine = abs(x * gx + y * gy + normals[2, v, u] * gz)
+            below = z * ((u - cx) / fx * down[0] + rest)
+            if cosine > floor_above and 0 < below < counts.size - 1:
+                counts[int(below)] += 1
+
+
 @kernel()
 def _point_row(depth, v, camera, down, lowest, out_disparity, out_height):
     """Write the channels of the points of one row."""

@@ -111,7 +111,8 @@ def test_hha_is_stored_with_the_gravity_it_was_made_with(gmrp: Path, tmp_path: P
     assert frame.depth_m is not None
     gravity = nimprep.estimate_gravity(frame.depth_m, frame.camera)
     assert np.allclose(store.tables.gravity[2], gravity)
-    assert np.array_equal(frame.hha, nimprep.encode_hha(frame.depth_m, frame.camera))
+    expected = nimprep.encode_hha(frame.depth_m, frame.camera, ground="floor")
+    assert np.array_equal(frame.hha, expected)
     without = nimprep.convert(gmrp, tmp_path / "n.zarr", modalities=("rgb", "depth"))
     assert np.isnan(without.tables.gravity).all()
 
@@ -128,7 +129,9 @@ def test_filling_serves_normals_and_hha_and_leaves_depth_raw(
     assert mask.any()
     assert (frame.depth_m[mask] == 0).all()
     assert np.array_equal(frame.normal.any(axis=2), filled > 0)
-    assert np.array_equal(frame.hha, nimprep.encode_hha(filled, frame.camera, missing=mask))
+    assert np.array_equal(
+        frame.hha, nimprep.encode_hha(filled, frame.camera, missing=mask, ground="floor")
+    )
     for name in ("normal", "hha"):
         assert store.attributes["modalities"][name]["parameters"]["fill"] == method
     assert validate_store(store.path, deep=True).problems == []

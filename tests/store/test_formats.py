@@ -24,7 +24,7 @@ from tests.fakes import contents, depth_image, write_gmrp
 
 DATA = Path(__file__).parent / "data"
 SIZE = (12, 16)
-OPTIONS = {"shard_length": 3, "camera": (15.0, 15.5, 7.5, 5.5)}
+OPTIONS = {"shard_length": 3, "camera": (15.0, 15.5, 7.5, 5.5), "hha_ground": "lowest"}
 """What the store of format 1.0 was made with."""
 
 
