@@ -38,6 +38,18 @@ def make_case(name: str, out: Path) -> Path:
 
 def make_layout(name: str, out: Path) -> Path:
     """Write the fake of a public layout, and return its folder."""
+    make: Callable[[Path], None] = getattr(_layouts(), name)
+    make(out / name)
+    return out / name
+
+
+def layout_scene(seed: int) -> tuple[Any, Any, Any]:
+    """Return a frame's truth: rgb, depth in metres (0 = none), Cityscapes' label ids."""
+    scene: Callable[[int], tuple[Any, Any, Any]] = _layouts().scene
+    return scene(seed)
+
+
+def _layouts() -> Any:
     script = folder("layouts") / "make_layouts.py"
     spec = importlib.util.spec_from_file_location("make_layouts", script)
     assert spec is not None
@@ -49,6 +61,4 @@ def make_layout(name: str, out: Path) -> Path:
         spec.loader.exec_module(module)
     finally:
         sys.dont_write_bytecode = before
-    make: Callable[[Path], None] = getattr(module, name)
-    make(out / name)
-    return out / name
+    return module
