@@ -34,6 +34,8 @@ MADE: dict[str, Any] = {"convert": nimprep.ConvertOptions, "append": nimprep.App
 OTHER: dict[str, Any] = {
     "description": "d.json",
     "camera": (30.0, 30.0, 16.0, 12.0),
+    "distortion": "refuse",
+    "size": "depth",
     "depth_scale": 0.002,
     "label_map": "0:0,9:1",
     "target": "lane",
@@ -43,9 +45,9 @@ OTHER: dict[str, Any] = {
 """A value for each option of readers that is not its default."""
 
 TAKES = {
-    "gmrp": {"camera", "depth_scale", "label_map"},
+    "gmrp": {"camera", "distortion", "size", "depth_scale", "label_map"},
     "kitti-road": {"target", "depth_from", "sparse"},
-    "folder": {"description", "camera", "depth_scale", "label_map"},
+    "folder": {"description", "camera", "distortion", "size", "depth_scale", "label_map"},
 }
 
 
@@ -155,7 +157,8 @@ def test_an_option_that_the_reader_has_not_is_a_wrong_call(
     flag = f"--{name.replace('_', '-')}"
     assert result.stderr == (
         f"error: {flag}: expected options of the reader gmrp (--camera or --intrinsics, "
-        f"--depth-scale, --label-map), found '{OTHER[name]}'; leave out {flag}\n"
+        f"--distortion, --size, --depth-scale, --label-map), found '{OTHER[name]}'; "
+        f"leave out {flag}\n"
     )
     assert store.exists() == (command == "append")
 

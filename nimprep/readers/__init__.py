@@ -15,7 +15,9 @@ from nimprep.kitti.names import DepthFrom, Target
 from nimprep.options import Options, documented, option, options_of
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
 from nimprep.readers.cameras import camera_from, numbers_of
+from nimprep.readers.description import DistortionRule, Size
 from nimprep.readers.nearby import nearby_dataset
+from nimprep.readers.resizing import size_from
 
 __all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptions", "open_reader"]
 
@@ -36,7 +38,17 @@ class ReaderOptions(Options):
         None, "JSON description of a folder dataset (schemas/folder.schema.json)."
     )
     camera: Path | str | tuple[float, float, float, float] | None = option(
-        None, "Camera file, JSON."
+        None, "Camera file: JSON, ROS or OpenCV YAML, COLMAP, KITTI, or numbers alone."
+    )
+    distortion: DistortionRule | None = option(
+        None,
+        "What to do about a camera's distortion: take it out of the images, refuse it, or "
+        "nothing, as the images have none left; default: undistort.",
+    )
+    size: Size | str | None = option(
+        None,
+        "Bring registered images of different size to one: rgb, depth or WxH; default: refuse.",
+        metavar="rgb|depth|WxH",
     )
     depth_scale: float | None = option(None, "Metres per raw depth unit.", least=1e-9, most=1000)
     label_map: str | None = option(
@@ -52,12 +64,16 @@ class ReaderOptions(Options):
         super().__post_init__()
         if self.camera is not None and not isinstance(self.camera, (str, PathLike)):
             object.__setattr__(self, "camera", numbers_of(self.camera))
+        if self.size is not None:
+            object.__setattr__(self, "size", size_from(self.size))
 
 
 class ReaderKeywords(TypedDict, total=False):
     reader: ReaderName
     description: Path | str | None
     camera: Path | str | tuple[float, float, float, float] | None
+    distortion: DistortionRule | None
+    size: Size | str | None
     depth_scale: float | None
     label_map: str | None
     target: Target
@@ -163,7 +179,7 @@ def open_reader(
     }
     _check_taken(name, given, parameters)
     if "camera" in given:
-        given["camera"] = camera_from(given["camera"])
+        given["camera"] = camera_from(given["camera"], options.distortion)
     wanted = {n: read for n, read in (("labels", labels), ("depth", depth)) if n in parameters}
     reader: Reader = make(root, **wanted, **given)
     return reader

@@ -16,6 +16,13 @@ from nimprep.splits import SplitName
 Missing = Literal["error", "skip", "none"]
 """What a frame is that lacks a file: bad, left out, or one that has none."""
 
+DistortionRule = Literal["undistort", "refuse", "rectified"]
+"""What to do about distortion coefficients that are not 0; rectified: the images have none left."""
+
+SizeOf = Literal["rgb", "depth"]
+Size = SizeOf | tuple[int, int]
+"""To which registered images of different size are brought: colour's, depth's, (width, height)."""
+
 Color = tuple[int, int, int]
 Invalid = float | tuple[float | None, float | None]
 """A raw value, or the first and the last of a range; None = no bound."""
@@ -186,7 +193,7 @@ class CameraSource:
     for_size: tuple[int, int] | None = None
     pixel_origin: int = 0
     baseline_m: float | None = None
-    distortion: Literal["undistort", "refuse", "rectified"] = "undistort"
+    distortion: DistortionRule = "undistort"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,7 +258,7 @@ class Description:
     split: SplitSource | None = None
     no_split: bool = False
     match: Match | None = None
-    size: Literal["rgb", "depth"] | tuple[int, int] | None = None
+    size: Size | None = None
     orientation: Literal["apply", "ignore", "refuse"] = "apply"
 
     def sources(self) -> Iterator[tuple[str, PlaneSource]]:

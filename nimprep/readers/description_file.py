@@ -184,7 +184,11 @@ def _camera(given: Any) -> CameraSource:
     if isinstance(given, str):
         return CameraSource(files=given)
     if "files" not in given:
-        return CameraSource(numbers=given)
+        rule = given.get("distortion")
+        if not isinstance(rule, str):
+            return CameraSource(numbers=given)
+        numbers = {name: value for name, value in given.items() if name != "distortion"}
+        return CameraSource(numbers=numbers, distortion=rule)  # type: ignore[arg-type]
     return CameraSource(**{name: _frozen(value) for name, value in given.items()})
 
 

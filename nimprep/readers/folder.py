@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,14 @@ from typing import Any
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.errors import DecodeError, LayoutError
+from nimprep.errors import DecodeError, LayoutError, NimprepError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.color_values import color_image
 from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
-from nimprep.readers.description import CONFIDENCE, Description
+from nimprep.readers.description import CONFIDENCE, Description, DistortionRule, Size
 from nimprep.readers.description_file import description_from_file
 from nimprep.readers.extra_values import extra_image
 from nimprep.readers.frame_cameras import FrameCameras
@@ -26,7 +26,8 @@ from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
 from nimprep.readers.matching import Place, group_of, matched_frames
 from nimprep.readers.official_splits import official_splits
-from nimprep.readers.registration import registered, registered_shape
+from nimprep.readers.registration import camera_of_sizes, registered, registered_shape
+from nimprep.readers.undistortion import without_border
 from nimprep.splits import SplitName
 
 _NOMINAL_NOTE = (
@@ -48,6 +49,9 @@ class FolderReader(ReaderBase):
         Whether to read labels; without, they need not be there.
     camera : GivenCamera, optional
         In place of the description's.
+    distortion : {"undistort", "refuse", "rectified"}, optional
+    size : "rgb", "depth" or (width, height), optional
+        Both in place of the description's.
     depth_scale : float, optional
         Metres per raw depth unit, in place of the description's; depth is then taken as it comes,
         while without it implausible depth is refused.
@@ -69,6 +73,8 @@ class FolderReader(ReaderBase):
         camera: GivenCamera | None = None,
         depth_scale: float | None = None,
         label_map: str | None = None,
+        distortion: DistortionRule | None = None,
+        size: Size | None = None,
     ) -> None:
         self.root = Path(root)
         if not self.root.is_dir():
@@ -76,25 +82,50 @@ class FolderReader(ReaderBase):
         if not isinstance(description, Description):
             description = description_from_file(description)
         description = _relabelled(description, label_map)
+        description = description if size is None else replace(description, size=size)
         self._description, self._scale = description, depth_scale
         check_scale_option(depth_scale, description.depth)
         wanted = {name for name, _ in description.sources()} - (set() if labels else {"label"})
         self._matched = matched_frames(self.root, description, wanted)
         self._splits = official_splits(self.root, description, self._matched)
         self.ids = tuple(i for i in self._matched.ids if i not in self._splits.skipped)
-        self._cameras = FrameCameras(self.root, description.camera, self._matched, camera)
+        self._cameras = FrameCameras(
+            self.root, description.camera, self._matched, camera, distortion
+        )
         nominal = (_NOMINAL_NOTE,) if self._cameras.origin == "nominal" else ()
         self.info = DatasetInfo(
             name=description.name,
             classes=description.classes if "label" in self._matched.places else (),
             calibration=self._cameras.origin,
-            notes=(*nominal, *self._matched.notes, *self._splits.notes, *self._label_notes()),
+            notes=(
+                *nominal,
+                *self._distortion_notes(),
+                *self._matched.notes,
+                *self._splits.notes,
+                *self._label_notes(),
+            ),
         )
 
     def _label_notes(self) -> tuple[str, ...]:
         labels = self._matched.places.get("label", {})
         stored = {i: labels[i] for i in self.ids if i in labels}
         return label_notes(self.root, stored, self._description)
+
+    def _distortion_notes(self) -> Iterator[str]:
+        """Yield what is said of distortion that is taken out."""
+        camera = self._cameras.distorted()
+        if camera is None or camera.distortion is None or not self.ids:
+            return
+        note = f"distortion undistorted: {camera.distortion} of {Path(camera.where).name}"
+        try:
+            shape = self.shape(self.ids[0])
+            given = camera_of_sizes(camera, self._places(self.ids[0]), self._description)
+            lost = without_border(given.camera(*shape, self.ids[0]), camera.distortion)
+        except NimprepError:
+            # Reading the frame says so.
+            yield note
+            return
+        yield f"{note}; {100 * lost:.1f} % of an image, at its border, show nothing and are none"
 
     def group(self, frame_id: str) -> str:
         """Return the scene by the description's template or pattern; "" = none."""
@@ -120,7 +151,8 @@ class FolderReader(ReaderBase):
 
     def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
         """Return the frame's rgb, depth_m, label and planes, as far as `modalities` names them."""
-        places, camera = self._places(frame_id), self._cameras.of(frame_id)
+        places = self._places(frame_id)
+        camera = camera_of_sizes(self._cameras.of(frame_id), places, self._description)
         wanted = {*modalities, CONFIDENCE}
         images = self._images({n: p for n, p in places.items() if n in wanted}, camera)
         if not images:

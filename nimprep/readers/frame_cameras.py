@@ -1,20 +1,26 @@
-"""The camera of each frame of a described dataset: one for all, or a file for each."""
+"""The camera of each frame of a described dataset: one for all, a file or a row for each."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from nimprep.errors import LayoutError
+from nimprep.errors import CameraError, LayoutError
 from nimprep.readers.base import CalibrationOrigin
+from nimprep.readers.camera_formats import CameraNumbers, CameraTable, numbers_from_file
 from nimprep.readers.cameras import (
     GivenCamera,
     camera_from_document,
-    camera_from_file,
+    camera_from_numbers,
     nominal_camera,
 )
-from nimprep.readers.description import CameraSource
-from nimprep.readers.frames import match_frames
-from nimprep.readers.matching import Matched, files_by_id
+from nimprep.readers.description import CameraSource, DistortionRule
+from nimprep.readers.matching import Matched, files_for
+
+_KEPT = 64
+"""Files whose contents are kept: frames of a scene share a file, and come one after the other."""
 
 
 class FrameCameras:
@@ -30,6 +36,8 @@ class FrameCameras:
         The frames.
     given : GivenCamera, optional
         In place of the source's, for all.
+    distortion : {"undistort", "refuse", "rectified"}, optional
+        In place of what the source says.
 
     Raises
     ------
@@ -40,13 +48,22 @@ class FrameCameras:
     """
 
     def __init__(
-        self, root: Path, source: CameraSource | None, matched: Matched, given: GivenCamera | None
+        self,
+        root: Path,
+        source: CameraSource | None,
+        matched: Matched,
+        given: GivenCamera | None = None,
+        distortion: DistortionRule | None = None,
     ) -> None:
-        self._files: dict[str, Path] = {}
+        if source is not None and distortion is not None:
+            source = replace(source, distortion=distortion)
+        self._source = source or CameraSource()
+        self._captured = matched.captured
+        self._files: Mapping[str, Path] = {}
         self._shared: tuple[Path, ...] = ()
-        self._camera = given
-        if given is None:
-            self._camera = self._described(root, source, matched)
+        self._read: dict[Path, CameraNumbers | CameraTable] = {}
+        self._lock = threading.Lock()
+        self._camera = given or self._described(root, source, matched)
 
     def _described(
         self, root: Path, source: CameraSource | None, matched: Matched
@@ -54,17 +71,27 @@ class FrameCameras:
         if source is None:
             return nominal_camera()
         if source.files is None:
-            return camera_from_document(source.numbers, f"{root}: 'camera'")
-        if "{" not in source.files:
+            return camera_from_document(source.numbers, f"{root}: 'camera'", source)
+        if not any(mark in source.files for mark in "{*?"):
             if ".." in source.files.split("/"):
                 raise LayoutError(
                     f"{root}: expected a camera file below the folder, found {source.files!r}"
                 )
             self._shared = (root / source.files,)
-            return camera_from_file(root / source.files, pipes=False)
-        self._files = files_by_id(root, source.files)
-        colors = {i: place.path for i, place in matched.places["rgb"].items()}
-        match_frames({"camera": self._files, "rgb": colors}, root)
+            found = numbers_from_file(self._shared[0], source)
+            if isinstance(found, CameraNumbers):
+                return camera_from_numbers(found, str(self._shared[0]), source)
+            self._files = dict.fromkeys(matched.ids, self._shared[0])
+            self._read[self._shared[0]] = found
+            return None
+        places = files_for(root, source.files, matched.captured)
+        self._files = {frame_id: place.path for frame_id, place in places.items()}
+        if lacking := [i for i in matched.ids if i not in self._files]:
+            raise LayoutError(
+                f"{root}: expected camera for every frame, found none for frame {lacking[0]!r} "
+                f"({len(lacking)} of {len(matched.ids)} frames lack one); check the pattern "
+                f"{source.files!r}"
+            )
         return None
 
     @property
@@ -80,8 +107,33 @@ class FrameCameras:
         CameraError
             Its file is no camera.
         """
-        return self._camera or camera_from_file(self._files[frame_id], pipes=False)
+        if self._camera is not None:
+            return self._camera
+        path = self._files[frame_id]
+        found = self._contents(path)
+        if isinstance(found, CameraTable):
+            found = found.of(self._captured.get(frame_id, {}))
+        return camera_from_numbers(found, str(path), self._source)
+
+    def _contents(self, path: Path) -> CameraNumbers | CameraTable:
+        with self._lock:
+            if path in self._read:
+                return self._read[path]
+        found = numbers_from_file(path, self._source)
+        with self._lock:
+            while len(self._read) >= _KEPT:
+                del self._read[next(iter(self._read))]
+            self._read[path] = found
+        return found
 
     def sources(self, frame_id: str) -> tuple[Path, ...]:
         """Return the files that say it."""
         return (self._files[frame_id],) if self._files else self._shared
+
+    def distorted(self) -> GivenCamera | None:
+        """Return the first frame's camera, if its images are distorted, None if not."""
+        try:
+            first = self._camera or self.of(next(iter(self._files)))
+        except (CameraError, StopIteration):
+            return None
+        return first if first.distortion is not None else None

@@ -20,7 +20,9 @@ from nimprep.readers.description import (
     ColorSource,
     DepthSource,
     Description,
+    DistortionRule,
     LabelSource,
+    Size,
 )
 from nimprep.readers.folder import FolderReader
 
@@ -44,6 +46,8 @@ def open_gmrp(
     camera: GivenCamera | None = None,
     depth_scale: float | None = None,
     label_map: str | None = None,
+    distortion: DistortionRule | None = None,
+    size: Size | None = None,
 ) -> FolderReader:
     """Open a folder in GMRP's layout.
 
@@ -60,4 +64,6 @@ def open_gmrp(
         camera=camera,
         depth_scale=depth_scale,
         label_map=label_map,
+        distortion=distortion,
+        size=size,
     )

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
+from nimprep.errors import CameraError, DecodeError
 from nimprep.images import read_header
-from nimprep.readers.cameras import GivenCamera
+from nimprep.modality import MODALITIES
+from nimprep.readers.cameras import GivenCamera, same_shape
 from nimprep.readers.description import Description
 from nimprep.readers.frames import check_same_shape
 from nimprep.readers.matching import Place
+from nimprep.readers.resizing import resized_colors, resized_linear, resized_nearest
+from nimprep.readers.undistortion import (
+    PixelMap,
+    nearest_through,
+    pixel_map,
+    undistorted_colors,
+)
+
+Image = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -27,31 +39,125 @@ class Registered:
     camera : Camera
     """
 
-    images: Mapping[str, npt.NDArray[Any]]
+    images: Mapping[str, Image]
     camera: Camera
 
 
 def registered(
     frame_id: str,
-    images: Mapping[str, npt.NDArray[Any]],
+    images: Mapping[str, Image],
     places: Mapping[str, Place],
     camera: GivenCamera,
     description: Description,
 ) -> Registered:
-    """Bring a frame's images to one size and one camera.
+    """Bring a frame's images to one size and one camera, and take distortion out.
+
+    Parameters
+    ----------
+    camera : GivenCamera
+        As `camera_of_sizes` returns it.
 
     Raises
     ------
     DecodeError
         They differ in size, and the description does not say that they are registered.
+    CameraError
+        The camera is of another size.
     """
-    check_same_shape({places[name].path: image for name, image in images.items()})
-    height, width = next(iter(images.values())).shape[:2]
-    return Registered(images, camera.camera(height, width, frame_id))
+    if description.size is None:
+        _check_one_size(images, places)
+        height, width = next(iter(images.values())).shape[:2]
+    else:
+        height, width = registered_shape(places, description)
+        for name, image in images.items():
+            _check_aspect(image.shape[:2], (height, width), places[name])
+    made = camera.camera(height, width, frame_id)
+    where = None if camera.distortion is None else pixel_map(made, camera.distortion)
+    found = {
+        name: _brought(name, image, (height, width), where, description)
+        for name, image in images.items()
+    }
+    return Registered(found, made)
 
 
 def registered_shape(places: Mapping[str, Place], description: Description) -> tuple[int, int]:
     """Return the (height, width) that a frame's images are brought to, from headers alone."""
-    name = "depth" if "depth" in places else "rgb"
+    if isinstance(description.size, tuple):
+        return description.size[1], description.size[0]
+    if description.size is None:
+        return _size("depth" if "depth" in places else "rgb", places, description)
+    if description.size not in places:
+        raise DecodeError(
+            f"{places['rgb'].path}: expected {description.size} beside it, to have its size, found "
+            "none; give --size rgb"
+        )
+    return _size(description.size, places, description)
+
+
+def camera_of_sizes(
+    camera: GivenCamera, places: Mapping[str, Place], description: Description
+) -> GivenCamera:
+    """Return a frame's camera, with the size that its numbers hold for where images are resized.
+
+    Raises
+    ------
+    CameraError
+        The images differ in size, and the camera does not say to which it belongs.
+    """
+    if description.size is None or camera.intrinsics is None:
+        return camera
+    if camera.size is not None:
+        return replace(camera, scales=True)
+    sizes = {name: _size(name, places, description) for name in ("rgb", "depth") if name in places}
+    if len(set(sizes.values())) > 1:
+        said = ", ".join(f"{name} of {w}x{h}" for name, (h, w) in sizes.items())
+        raise CameraError(
+            f"{camera.where}: expected a camera that says its width and height, found none with "
+            f"{said} pixels; give them in the file, or as the description's camera.for_size"
+        )
+    return replace(camera, size=next(iter(sizes.values())), scales=True)
+
+
+def _size(name: str, places: Mapping[str, Place], description: Description) -> tuple[int, int]:
     header = read_header(places[name].path, dict(description.sources())[name].layout)
     return header.height, header.width
+
+
+def _check_one_size(images: Mapping[str, Image], places: Mapping[str, Place]) -> None:
+    try:
+        check_same_shape({places[name].path: image for name, image in images.items()})
+    except DecodeError as error:
+        raise DecodeError(
+            f"{error}; if they are registered, give --size rgb or --size depth"
+        ) from error
+
+
+def _check_aspect(found: tuple[int, int], wanted: tuple[int, int], place: Place) -> None:
+    if not same_shape(found, wanted):
+        (h, w), (height, width) = found, wanted
+        raise DecodeError(
+            f"{place.path}: expected pixels to bring to {width}x{height}, found {w}x{h}, which is "
+            "of another aspect by more than a pixel; give depth.camera and depth_to_rgb in the "
+            "description, or crop the images"
+        )
+
+
+def _brought(
+    name: str, image: Image, shape: tuple[int, int], where: PixelMap | None, described: Description
+) -> Image:
+    """Return one image resized and undistorted, the way its kind is."""
+    plane = described.planes.get(name)
+    if plane is None and MODALITIES[name].values == "colors":
+        made = resized_colors(image, *shape)
+        return made if where is None else undistorted_colors(made, where)
+    fill: float = 0 if plane is None else plane.fill or 0
+    if plane is None:
+        fill = MODALITIES[name].fill
+    elif np.issubdtype(image.dtype, np.floating):
+        fill = np.nan
+    if where is not None:
+        # From the image as large as it is: the nearest pixel of the nearest would be further away.
+        return nearest_through(image, where, fill)
+    if plane is not None and plane.resize == "linear":
+        return resized_linear(image, *shape, plane.fill)
+    return resized_nearest(image, *shape)

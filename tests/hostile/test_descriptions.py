@@ -138,7 +138,7 @@ def test_a_pipe_is_taken_from_the_user_and_not_from_a_dataset(tmp_path: Path) ->
     writer.join()
     root, description = write_nyu_like(tmp_path / "nyu", camera="c.json")
     os.mkfifo(root / "c.json")
-    with limited_time(), pytest.raises(CameraError, match=r"c\.json: expected a readable JSON"):
+    with limited_time(), pytest.raises(CameraError, match=r"c\.json: expected a readable camera"):
         open_reader(root, options=ReaderOptions(description=description))
 
 
