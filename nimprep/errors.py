@@ -55,3 +55,7 @@ class CacheError(NimprepError, OSError):
 
 class SplitError(NimprepError, ValueError):
     """A split file or rule does not fit the frames."""
+
+
+class DoubtWarning(UserWarning):
+    """A data set is perhaps read wrongly: `warnings.filterwarnings` makes it an error."""

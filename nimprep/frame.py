@@ -83,6 +83,8 @@ class Frame:
     others : mapping of str to array
         The images of further modalities, by name; of planes (`nimprep.plane`) the numbers, (H, W),
         in their units: float32, NaN = none, or uint8 that is as it is stored.
+    signs : mapping of str to float
+        What was measured on the raw values: see `nimprep.doubts.raw`.
 
     Raises
     ------
@@ -105,6 +107,7 @@ class Frame:
     baseline_m: float = float("nan")
     cam_to_road: npt.NDArray[np.float64] | None = None
     others: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    signs: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         try:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Unpack
 
 from nimprep.conversion.compatibility import check_frames, options_like, padded_size
+from nimprep.conversion.doubted import warn_of_doubts
 from nimprep.conversion.growth import grow, grown_splits
 from nimprep.conversion.journal import kept_journal
 from nimprep.conversion.options import AppendKeywords
@@ -103,6 +104,7 @@ def append_frames(
         converting = options_like(old, **reading)
         reader = converting.open_reader(source)
         done = _published(old, reader, options, workspace) if workspace.published else None
+        known = [] if done else old.about.doubts
         if done is None:
             new = SubsetReader(reader, _new_ids(old, reader, options))
             done = Appended(old, (), len(reader.ids) - len(new.ids), ())
@@ -115,6 +117,7 @@ def append_frames(
                 done = Appended(grown, ids, done.existing, tuple(records.skipped))
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
+    warn_of_doubts(source, [d for d in done.store.about.doubts if d not in known])
     return done
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.conversion.doubted import with_doubts_of_labels
 from nimprep.conversion.plan import Plan, described, fixed_splits
 from nimprep.conversion.provenance import joined_attributes
 from nimprep.conversion.records import (
@@ -60,7 +61,8 @@ def grow(
         [(replace(old.about, skipped=skipped), len(old)), (new, len(records.facts))],
         depth_percentiles_m=depth_percentiles(counts) if "depth" in old.modalities else None,
     )
-    writer.finish(_tables(old, plan.reader, records.facts, checksums), about)
+    joined = _tables(old, plan.reader, records.facts, checksums)
+    writer.finish(joined, with_doubts_of_labels(about, joined, old.classes))
     carry_over(Path(old.path), workspace.joined.root)
 
 

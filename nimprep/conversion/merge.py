@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.conversion.compatibility import check_alike, normal_dtype, padded_size, shard_length
+from nimprep.conversion.doubted import with_doubts_of_labels
 from nimprep.conversion.plan import warn_of_padding
 from nimprep.conversion.provenance import joined_attributes
 from nimprep.conversion.records import depth_percentiles
@@ -200,7 +201,8 @@ def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) ->
         percentiles = depth_percentiles(np.asarray(counts))
     pixels = np.concatenate([class_pixels_of(store) for store in merge.stores])
     tables = {**_tables(merge), CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
-    writer.finish(tables, _attributes(merge, percentiles))
+    about = _attributes(merge, percentiles)
+    writer.finish(tables, with_doubts_of_labels(about, tables, writer.layout.classes))
 
 
 def _tables(merge: _Merge) -> dict[str, npt.NDArray[Any]]:
@@ -221,7 +223,9 @@ def _attributes(merge: _Merge, percentiles: dict[str, float] | None) -> StoreAtt
         fixed = {k: [prefix + i for i in ids] for k, ids in about.fixed_splits.items()}
         skipped = [{**frame, "id": prefix + frame["id"]} for frame in about.skipped]
         left_out = [frame for frame in skipped if frame["id"] not in known]
-        found.append((replace(about, fixed_splits=fixed, skipped=left_out), len(store)))
+        doubts = [{**d, "frames": [prefix + i for i in d["frames"]]} for d in about.doubts]
+        part = replace(about, fixed_splits=fixed, skipped=left_out, doubts=doubts)
+        found.append((part, len(store)))
     joined = joined_attributes(found, split=merge.split, depth_percentiles_m=percentiles)
     names = dict.fromkeys(part["dataset"] for part in joined.source["parts"])
     return replace(joined, dataset="+".join(names))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nimprep import __version__
+from nimprep.conversion.doubted import doubts_of
 from nimprep.conversion.journal import Journal, option_values, units_of
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import Records, depth_percentiles, source_digest
@@ -310,9 +311,12 @@ def describe(plan: Plan, ids: Sequence[str]) -> dict[str, Any]:
 def described(plan: Plan, records: Records) -> StoreAttributes:
     """Return what the root says of a store of the plan's frames."""
     facts = records.facts
+    about = describe(plan, [frame.id for frame in facts])
+    filled, fixed = plan.job.options.fill != "none", about.get("fixed_splits", {})
     return StoreAttributes(
-        **describe(plan, [frame.id for frame in facts]),
+        **about,
         skipped=[asdict(frame) for frame in records.skipped],
+        doubts=doubts_of(facts, plan.job.layout.classes, fixed, filled=filled),
         depth_percentiles_m=depth_percentiles(records.depth_counts),
         source={"digest": source_digest(facts)},
         complete=True,

@@ -9,6 +9,7 @@ from itertools import chain
 from typing import Any
 
 from nimprep import __version__
+from nimprep.conversion.doubted import joined_doubts
 from nimprep.splits import SplitName
 from nimprep.store.attributes import StoreAttributes
 
@@ -16,7 +17,7 @@ _ORIGINS = ("nominal", "user", "file")
 """Where calibrations come from, the least certain first."""
 
 
-_LAST = ("fixed_splits", "frame_metadata", "skipped", "complete", "tables", "digest")
+_LAST = ("fixed_splits", "frame_metadata", "skipped", "doubts", "complete", "tables", "digest")
 """What a store's `nimprep` object ends with where frames joined it."""
 
 
@@ -24,6 +25,8 @@ def joined_attributes(
     found: Sequence[tuple[StoreAttributes, int]], **changes: Any
 ) -> StoreAttributes:
     """Return what is said of a store made of these, so many frames each: the first's, mostly.
+
+    Of doubts, those of labels are left out: they are counted anew (`with_doubts_of_labels`).
 
     Its source's digest is the SHA-256 of the parts' digests in order, each followed by a line feed.
 
@@ -49,6 +52,7 @@ def joined_attributes(
         fixed_splits=fixed,
         frame_metadata=joined_metadata([(about.frame_metadata, n) for about, n in found]),
         skipped=list(chain.from_iterable(about.skipped for about, _ in found)),
+        doubts=joined_doubts(about for about, _ in found),
         source={"digest": digest, "parts": made},
     )
     return replace(joined, **changes)

@@ -66,6 +66,8 @@ class FrameFacts:
         What the frame's chunks end with.
     digest : str
         SHA-256 of the frame's source files.
+    signs : dict of str to float
+        What may tell that it was read wrongly: see `nimprep.doubts`.
     """
 
     id: str
@@ -79,6 +81,7 @@ class FrameFacts:
     class_pixels: list[int]
     chunk_crc32c: dict[str, int]
     digest: str
+    signs: dict[str, float]
 
 
 @dataclass(frozen=True)

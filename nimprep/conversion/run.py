@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Unpack
 
+from nimprep.conversion.doubted import warn_of_doubts
 from nimprep.conversion.encode import encode_units
 from nimprep.conversion.gaps import (
     foreign,
@@ -113,7 +114,9 @@ def convert(
     # Said last, beside the summary: at the start it would scroll away, and bad data gets one line.
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
-    return open_store(storage)
+    store = open_store(storage)
+    warn_of_doubts(source, store.about.doubts)
+    return store
 
 
 def make_plan(

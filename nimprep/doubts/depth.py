@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.derive.elevation import find_road_plane
 
 LEAST_FOCAL_PX = 5.0
-"""A shorter focal length is no number of pixels, but a share of the image's size."""
+"""A shorter focal length, of a view too wide for any lens, is a share of the image's size."""
 
 _ROWS = 128
 _SAMPLED = 10_000
@@ -42,15 +41,18 @@ def depth_signs(
         ``with_neighbours``: the share of the pixels with depth that have it beside them on each
         axis, too; ``beyond_range``: the share of them beyond `most_m`; ``row_correlation``: of
         depth with the row in the lower half of the image; ``camera_height_m``: the camera's over
-        the road's plane, where one is found. What cannot be measured is left out.
+        the road's plane, where one is found. What cannot be measured is left out; of an image of
+        some hundred pixels that is everything.
     """
+    if depth_m.size < _PLANE_PIXELS:
+        return {}
     signs = {
         "with_neighbours": _share_with_neighbours(depth_m),
         "beyond_range": _share_beyond(depth_m, most_m),
         "row_correlation": _row_correlation(depth_m),
         "camera_height_m": _camera_height(depth_m, camera),
     }
-    return {name: value for name, value in signs.items() if value is not None}
+    return {n: value for n, value in signs.items() if value is not None and math.isfinite(value)}
 
 
 def camera_signs(camera: Camera) -> dict[str, float]:
@@ -125,5 +127,8 @@ def _camera_height(depth_m: npt.NDArray[np.float32], camera: Camera) -> float | 
     )
     if np.count_nonzero(part) < _LEAST_PIXELS:
         return None
+    # Here, as its kernels take their time to load.
+    from nimprep.derive.elevation import find_road_plane
+
     plane = find_road_plane(part, coarse)
     return float(plane[3]) if plane is not None and plane[1] < -_UPRIGHT else None

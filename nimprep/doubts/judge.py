@@ -12,6 +12,24 @@ from nimprep.doubts.depth import LEAST_FOCAL_PX
 NAMED = 5
 """So many of the frames that a doubt is of are named; of the rest the number is given."""
 
+TITLES = {
+    "byte-order": "Bytes of depth swapped?",
+    "rotated-bits": "Bits of depth rotated?",
+    "eight-bits": "Depth of 8 bits?",
+    "disparity-name": "Disparity read as depth?",
+    "grows-downwards": "Depth upside down, or disparity?",
+    "sparse": "Depth without neighbours",
+    "camera-height": "Camera too low or too high",
+    "normalised-camera": "Camera in shares of the image?",
+    "principal-point": "Principal point outside the image",
+    "field-of-view": "Camera of another image?",
+    "beyond-range": "Depth beyond what a store holds",
+    "mask-255": "Class 255 ignored?",
+    "ignored": "Labels ignored",
+    "class-missing": "Classes that are nowhere",
+}
+"""Of each kind of doubt, for people."""
+
 Signs = Mapping[str, float]
 
 
@@ -231,9 +249,9 @@ def judge(frames: Iterable[tuple[str, Signs]], *, filled: bool, most_m: float) -
         if doubtful and len(doubtful) >= rule.share * len(asked):
             text = rule.text(statistics.median(value for _, value in doubtful))
             found.setdefault(rule.kind, Doubt.of(rule.kind, text, [i for i, _ in doubtful]))
-    if "normalised-camera" in found:
-        # Which says why.
-        found.pop("field-of-view", None)
+    # Of a camera in shares of the image's size both are true; of a tiny image's only the first.
+    both = {"field-of-view", "normalised-camera"} <= found.keys()
+    found.pop("field-of-view" if both else "normalised-camera", None)
     return [*found.values(), *_beyond_range(known, most_m)]
 
 

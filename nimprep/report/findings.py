@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.doubts.judge import TITLES
 from nimprep.report.collect import Collected
 from nimprep.report.hashes import BITS, NEAR, nearest
 from nimprep.report.pictures import BACKGROUND
@@ -60,6 +61,7 @@ class Finding:
 def find(store: Store, facts: Collected) -> list[Finding]:
     """Return everything that looks wrong, problems first."""
     found = [
+        *_doubted(store),
         *_left_out(store),
         *_shared_scenes(store),
         *_duplicates(store, facts),
@@ -72,7 +74,7 @@ def find(store: Store, facts: Collected) -> list[Finding]:
 
 def checks(store: Store) -> list[str]:
     """Return what `find` looks for in this store, in words."""
-    named = ["frames left out", "train and test frames of one scene"]
+    named = ["signs of a wrong reading", "frames left out", "train and test frames of one scene"]
     if "rgb" in store.modalities:
         named += ["near-duplicates across splits", "flat colour images"]
     if "depth" in store.modalities:
@@ -89,6 +91,19 @@ def _numbers(mask: npt.NDArray[np.bool_]) -> tuple[int, ...]:
 def counted(number: int, what: str = "frame") -> str:
     """Return "1 frame", "2 frames"."""
     return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def _doubted(store: Store) -> Iterator[Finding]:
+    """Yield what was doubted when the frames were converted."""
+    for doubt in store.about.doubts:
+        kind, named = doubt["kind"], frozenset(doubt["frames"])
+        yield Finding(
+            f"doubt-{kind}",
+            "problem",
+            TITLES.get(kind, "Perhaps read wrongly"),
+            f"{counted(doubt['count'])}: {doubt['text']}.",
+            tuple(n for n, i in enumerate(store.ids) if i in named),
+        )
 
 
 def _left_out(store: Store) -> Iterator[Finding]:

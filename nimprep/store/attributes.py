@@ -51,6 +51,7 @@ class StoreAttributes:
     fixed_splits: dict[SplitName, list[str]] = field(default_factory=dict)
     frame_metadata: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
     skipped: list[dict[str, str]] = field(default_factory=list)
+    doubts: list[dict[str, Any]] = field(default_factory=list)
     depth_percentiles_m: dict[str, float] | None
     source: Source
     complete: bool

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from nimprep.doubts.judge import sentence
 from nimprep.splits import count_splits
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.reader import Store, open_store
@@ -43,6 +44,7 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
         "depth_sources": _depth_sources(about),
         "skipped": about.skipped,
+        "doubts": about.doubts,
         "source": about.source,
     }
 
@@ -109,6 +111,7 @@ def info_text(info: dict[str, Any]) -> str:
         rows.append(("classes", ", ".join(f"{c['id']} {c['name']}" for c in info["classes"])))
     if info["skipped"]:
         rows.append(("skipped", f"{len(info['skipped'])} bad frames of the source"))
+    rows += [("doubt", sentence(doubt)) for doubt in info["doubts"]]
     lines = [f"{name:<9}{printable(text)}" for name, text in rows]
     lines.append("")
     wide = max(10, *(len(name) + 1 for name in info["modalities"]))

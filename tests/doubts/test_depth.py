@@ -62,8 +62,10 @@ def test_nothing_is_measured_of_a_few_pixels() -> None:
     depth = np.zeros((96, 128), np.float32)
     depth[50, :20] = 3
     assert depth_signs(depth, CAMERA, 65.535) == {}
-    tiny = Camera(1, 1, 0, 0, 1, 1)
-    assert depth_signs(np.ones((1, 1), np.float32), tiny, 65.535) == {}
+    for height, width in ((1, 1), (24, 32), (1, 4096), (4096, 1)):
+        camera = Camera(30, 30, width / 2, height / 2, width, height)
+        signs = depth_signs(np.full((height, width), 3, np.float32), camera, 65.535)
+        assert signs.keys() <= {"beyond_range"}
 
 
 def test_a_camera_that_is_no_camera_breaks_nothing() -> None:

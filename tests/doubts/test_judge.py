@@ -9,7 +9,8 @@ import pytest
 
 from nimprep.camera import Camera
 from nimprep.doubts.depth import camera_signs, depth_signs
-from nimprep.doubts.judge import RULES, Doubt, judge, sentence
+from nimprep.doubts.judge import RULES, TITLES, Doubt, judge, sentence
+from nimprep.doubts.labels import LABEL_KINDS
 from nimprep.doubts.raw import raw_signs
 from tests.doubts.streets import CAMERA, rough_street, street
 
@@ -45,6 +46,7 @@ def test_nothing_is_doubted_of_good_frames_or_of_none() -> None:
 def test_every_rule_has_a_sign_that_frames_have_and_a_case_here() -> None:
     assert {rule.sign for rule in RULES} <= GOOD.keys()
     assert {rule.kind for rule in RULES} | {"beyond-range"} == DOUBTFUL.keys()
+    assert DOUBTFUL.keys() | LABEL_KINDS == TITLES.keys()
 
 
 @pytest.mark.parametrize("kind", DOUBTFUL)
@@ -84,6 +86,10 @@ def test_frames_that_do_not_tell_are_not_asked() -> None:
 
 def test_depth_that_is_filled_has_neighbours() -> None:
     assert judged(GOOD | DOUBTFUL["sparse"][0], filled=True) == []
+
+
+def test_a_tiny_image_may_have_a_short_focal_length() -> None:
+    assert judged(GOOD | camera_signs(Camera.from_fov(69.4, 3, 2))) == []
 
 
 def test_the_camera_of_an_image_ten_times_as_large_is_doubted_twice() -> None:

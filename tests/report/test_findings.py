@@ -38,7 +38,7 @@ def numbers(store: Store, *ids: str) -> tuple[int, ...]:
 def test_a_sound_store_has_no_findings(folder: Folder) -> None:
     store, findings = found(folder)
     assert findings == {}
-    assert len(checks(store)) == 8
+    assert len(checks(store)) == 9
 
 
 def test_frames_with_few_valid_pixels_are_found(folder: Folder) -> None:
@@ -60,6 +60,21 @@ def test_sparse_depth_is_no_doubt_where_every_frame_is_sparse(tmp_path: Path) ->
     for split in ("train", "val", "test"):
         folder.add(split, depth_mm=depth)
     assert found(folder)[1] == {}
+
+
+def test_what_was_doubted_at_conversion_comes_first(folder: Folder) -> None:
+    label = np.zeros((HEIGHT, WIDTH), np.uint8)
+    folder.split = {"train": [], "val": [], "test": []}
+    folder.root = folder.root.parent / "again" / "raw"
+    for split in ("train", "val", "test"):
+        folder.add(split, label=label + 1)
+    store = nimprep.open_store(folder.store())
+    first, *_ = find(store, collect(store))
+    (doubt,) = store.about.doubts
+    assert (first.kind, first.severity) == ("doubt-class-missing", "problem")
+    assert first.title == "Classes that are nowhere"
+    assert first.text == f"3 frames: {doubt['text']}."
+    assert [store.ids[n] for n in first.frames] == doubt["frames"]
 
 
 def test_saturated_depth_is_found(folder: Folder) -> None:
