@@ -29,11 +29,23 @@ from nimprep.cli.options import progress_bars, quiet_option
     "left out, joined by commas; may be given several times. Default: all.",
 )
 @click.option(
+    "--modalities",
+    metavar="LIST",
+    help="Comma-separated, with png and npz: what to write. Default: rgb,depth,label of png, all "
+    "of npz.",
+)
+@click.option(
     "--overwrite", is_flag=True, help="With rerun, replace OUT where it is there already."
 )
 @quiet_option
 def export(
-    store: str, out: Path, form: Any, frames: tuple[str, ...], overwrite: bool, quiet: bool
+    store: str,
+    out: Path,
+    form: Any,
+    frames: tuple[str, ...],
+    modalities: str | None,
+    overwrite: bool,
+    quiet: bool,
 ) -> None:
     """Write frames of STORE to the new or empty folder OUT; with rerun, to the new file OUT.
 
@@ -43,6 +55,13 @@ def export(
              nimprep convert OUT NEW.zarr --description OUT/description.json
                                           --split-file OUT/split.json
            gives the same images, labels, cameras and splits again.
+           With --modalities hha,normal: hha/ and normal/ as PNGs, as exact as the store, and
+           encodings.json, which says how to read them:
+             hha     8-bit R, G, B: horizontal disparity, height, angle; (0, 0, 0) = none.
+             normal  R, G, B: x right, y down, z forward; n = (png - 128) / 127 of 8 bits,
+                     (png - 32768) / 32767 of 16 (convert --normal-dtype int16);
+                     (0, 0, 0) = none.
+             others  value = (png - subtract) * scale + offset.
     rerun  camera, points (at most 200,000 a frame), images and labels; "rerun OUT" shows it.
            Needs the extra: pip install 'nimprep[rerun]'.
     npz    every modality, in float units where it has any: rgb, depth_m (metres, 0 = none),
@@ -58,8 +77,13 @@ def export(
         raise click.UsageError(
             f"expected --format rerun with --overwrite, found {form}: a folder must be new or empty"
         )
+    if modalities is not None and form == "rerun":
+        raise click.UsageError("expected --format png or npz with --modalities, found rerun")
     from nimprep.export import export_frames
 
     progress = progress_bars(quiet)
-    ids = export_frames(store, out, form, frames or None, progress, overwrite=overwrite)
+    names = None if modalities is None else modalities.split(",")
+    ids = export_frames(
+        store, out, form, frames or None, progress, modalities=names, overwrite=overwrite
+    )
     echo(f"{out}: {len(ids)} frames")

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Literal, get_args
 
-from nimprep.errors import ArrayError
+from nimprep.errors import ArrayError, StoreError
 from nimprep.export.places import files_of, write_new
 from nimprep.export.selection import select_frames
 from nimprep.files import check_file, whole_file
 from nimprep.folders import check_folder, whole_folder
+from nimprep.modality import modality_name
 from nimprep.parallel import Progress, map_frames
 from nimprep.store.reader import Store, open_store
 
@@ -28,6 +29,7 @@ def export_frames(
     frames: Iterable[str] | None = None,
     progress: Progress | None = None,
     *,
+    modalities: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> list[str]:
     """Write frames of a store out as files that other programs read.
@@ -45,6 +47,10 @@ def export_frames(
         Ids, splits and ranges START:END, as `nimprep.export.selection` reads them; None = all.
     progress : callable, optional
         Called with the step and its frames; gives what is called after each.
+    modalities : sequence of str, optional
+        Which to write, with "png" and "npz"; None = those of GMRP's raw layout, and all. With
+        "png", encodings.json then says how each folder's numbers are to be read
+        (`nimprep.export.encoding`).
     overwrite : bool
         With "rerun", replace a file that is there. A folder's files are never replaced.
 
@@ -56,7 +62,7 @@ def export_frames(
     Raises
     ------
     StoreError
-        There is no store, it is damaged, or `frames` names what it does not have.
+        There is no store, it is damaged, or `frames` or `modalities` name what it does not have.
     LayoutError
         `out` is taken, inside the store or cannot be written, or a frame's id can be no file name.
     """
@@ -67,6 +73,9 @@ def export_frames(
         store = open_store(store)
     if overwrite and form != "rerun":
         raise ArrayError(f"overwrite: expected form 'rerun' with it, found {form!r}")
+    if modalities is not None and form == "rerun":
+        raise ArrayError("modalities: expected form 'png' or 'npz' with them, found 'rerun'")
+    chosen = None if modalities is None else _chosen(store, modalities)
     place = Path(store.path)
     check_file(out, place, overwrite=overwrite) if form == "rerun" else check_folder(out, place)
     numbers = select_frames(store, [frames] if isinstance(frames, str) else frames)
@@ -77,7 +86,7 @@ def export_frames(
         writer = _png_writer if form == "png" else _npz_writer
         files = files_of(ids, f".{form}")
         with whole_folder(out, place) as partial:
-            write = writer(store, numbers, partial)
+            write = writer(store, numbers, partial, chosen)
             for _ in map_frames(
                 "export", lambda i: write(i, files[store.ids[i]]), numbers, progress
             ):
@@ -95,15 +104,40 @@ def _export_recording(
         write_recording(store, numbers, partial, progress)
 
 
-def _png_writer(store: Store, numbers: Sequence[int], folder: Path) -> FrameWriter:
-    from nimprep.export.png import check_modalities, write_frame, write_records
+def _chosen(store: Store, modalities: Sequence[str]) -> list[str]:
+    """Return the modalities that names mean, each once, in the store's order."""
+    if isinstance(modalities, str):
+        raise ArrayError(
+            f"modalities: expected a sequence of names, found {modalities!r}; put them in a list"
+        )
+    names = [modality_name(name) for name in modalities]
+    for name in names or [""]:
+        if name not in store.modalities:
+            raise StoreError(
+                f"{store.path}: expected modalities of {', '.join(store.modalities)}, "
+                f"found {name!r}; convert with it to have it"
+            )
+    return [name for name in store.modalities if name in names]
 
-    check_modalities(store)
-    write_records(store, numbers, folder)
-    return lambda index, name: write_frame(store, index, folder, name)
+
+def _png_writer(
+    store: Store, numbers: Sequence[int], folder: Path, chosen: Sequence[str] | None
+) -> FrameWriter:
+    from nimprep.export.png import raw_modalities, write_encodings, write_frame, write_records
+
+    modalities = raw_modalities(store) if chosen is None else chosen
+    write_records(store, numbers, folder, modalities)
+    if chosen is not None:
+        write_encodings(store, folder, chosen)
+    return lambda index, name: write_frame(store, index, folder, name, modalities)
 
 
-def _npz_writer(store: Store, numbers: Sequence[int], folder: Path) -> FrameWriter:
+def _npz_writer(
+    store: Store, numbers: Sequence[int], folder: Path, chosen: Sequence[str] | None
+) -> FrameWriter:
     from nimprep.export.npz import frame_arrays, npz_bytes
 
-    return lambda index, name: write_new(folder / name, npz_bytes(frame_arrays(store, index)))
+    def write(index: int, name: PurePosixPath) -> None:
+        write_new(folder / name, npz_bytes(frame_arrays(store, index, chosen)))
+
+    return write

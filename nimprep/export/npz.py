@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.modality import MODALITIES
 from nimprep.splits import SPLIT_NAMES
 from nimprep.store.reader import Store
 
@@ -20,8 +20,15 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The earliest time a zip can hold, for the same bytes every time."""
 
 
-def frame_arrays(store: Store, index: int) -> dict[str, npt.NDArray[Any]]:
+def frame_arrays(
+    store: Store, index: int, modalities: Sequence[str] | None = None
+) -> dict[str, npt.NDArray[Any]]:
     """Return what a frame's file holds, by name; images are of the frame's own size.
+
+    Parameters
+    ----------
+    modalities : sequence of str, optional
+        Those of the store that are wanted; None = all.
 
     Returns
     -------
@@ -34,9 +41,9 @@ def frame_arrays(store: Store, index: int) -> dict[str, npt.NDArray[Any]]:
     """
     frame, tables = store[index], store.tables
     found: dict[str, npt.NDArray[Any]] = {}
-    for modality in store.modalities:
+    for modality in store.modalities if modalities is None else modalities:
         if (image := frame.image(modality)) is not None:
-            found[MODALITIES[modality].attribute or modality] = image
+            found[store.modality(modality).attribute or modality] = image
     return found | {
         "K": tables.intrinsics[index],
         "baseline_m": tables.baseline[index : index + 1].reshape(()),

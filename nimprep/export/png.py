@@ -8,6 +8,9 @@ OUT/
   description.json       the folder as `convert --description` reads it: classes, cameras, scenes
   split.json             as `convert --split-file` reads it
 
+Modalities that are asked for by name stand in folders of their names (``hha/000001.png``,
+``normal/000001.png``), encoded as `nimprep.export.encoding` says and ``encodings.json`` repeats.
+
 What the layout has no place for is not there: the transform to the road, and the direction of
 gravity. Where a store has that transform (KITTI), HHA made from the folder differs from its HHA.
 """
@@ -22,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from nimprep.errors import StoreError
+from nimprep.export.encoding import FILE, describe_encoding, encode_image, folder_of
 from nimprep.export.places import write_new
 from nimprep.kitti.images import png_bytes
 from nimprep.readers.matching import group_of
@@ -29,32 +33,51 @@ from nimprep.schema import json_bytes
 from nimprep.splits import split_document
 from nimprep.store.reader import Store
 
-FOLDERS = {"rgb": "rgb", "depth": "depth_u16", "label": "label"}
-"""The folder of each modality; what is derived from these, convert makes again."""
+RAW = ("rgb", "depth", "label")
+"""What GMRP ships; what is derived from these, convert makes again."""
 
 GROUP_PATTERNS = ("{group}/*", "{group}/**", "**/{group}_*", "**/{group}-*")
 """Patterns over ids that are tried to say the scenes, which a description cannot list."""
 
 
-def write_frame(store: Store, index: int, folder: Path, file: PurePosixPath) -> None:
-    """Write a frame's images, each at the frame's own size, pixels as the store has them."""
+def write_frame(
+    store: Store, index: int, folder: Path, file: PurePosixPath, modalities: Sequence[str]
+) -> None:
+    """Write a frame's images, each at the frame's own size, numbers as the store has them."""
     height, width = store.camera(index).shape
-    for modality, name in FOLDERS.items():
-        if modality in store.arrays:
-            image = store.arrays[modality].read(index)[:height, :width]
-            write_new(folder / name / file, png_bytes(np.ascontiguousarray(image)))
+    for name in modalities:
+        image = store.arrays[name].read(index)[:height, :width]
+        encoded = encode_image(image, store.modality(name))
+        write_new(folder / folder_of(name) / file, png_bytes(np.ascontiguousarray(encoded)))
 
 
-def check_modalities(store: Store) -> None:
-    """Raise `StoreError` where the store has nothing that the layout holds."""
-    if not any(modality in store.arrays for modality in FOLDERS):
+def raw_modalities(store: Store) -> list[str]:
+    """Return what of the layout's own the store has.
+
+    Raises
+    ------
+    StoreError
+        It has nothing of it.
+    """
+    there = [name for name in RAW if name in store.arrays]
+    if not there:
         raise StoreError(
-            f"{store.path}: expected one of {', '.join(FOLDERS)} for --format png, "
-            f"found {', '.join(store.modalities)}; use --format npz"
+            f"{store.path}: expected one of {', '.join(RAW)} for --format png, "
+            f"found {', '.join(store.modalities)}; name what to write with --modalities"
         )
+    return there
 
 
-def write_records(store: Store, numbers: Sequence[int], folder: Path) -> None:
+def write_encodings(store: Store, folder: Path, modalities: Sequence[str]) -> None:
+    """Write how each folder's numbers are to be read."""
+    entries = {name: describe_encoding(store.modality(name)) for name in modalities}
+    document = {"format": "nimprep-encodings", "version": "1.0", "modalities": entries}
+    write_new(folder / FILE, json_bytes(document))
+
+
+def write_records(
+    store: Store, numbers: Sequence[int], folder: Path, modalities: Sequence[str]
+) -> None:
     """Write the cameras, the splits and the description."""
     cameras = {store.ids[i]: camera_document(store, i) for i in numbers}
     shared = shared_camera(list(cameras.values()))
@@ -67,8 +90,8 @@ def write_records(store: Store, numbers: Sequence[int], folder: Path) -> None:
             write_new(folder / "camera" / f"{frame_id}.json", json_bytes(camera))
     splits = {i: split for i, split in store.splits.items() if i in cameras}
     write_new(folder / "split.json", json_bytes(split_document(splits)))
-    if {"rgb", "depth"} <= set(store.arrays):
-        description = describe(store, numbers, pattern)
+    if {"rgb", "depth"} <= set(modalities):
+        description = describe(store, numbers, pattern, "label" in modalities)
         write_new(folder / "description.json", json_bytes(description))
 
 
@@ -92,7 +115,7 @@ def shared_camera(cameras: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     return None
 
 
-def describe(store: Store, numbers: Sequence[int], camera: str) -> dict[str, Any]:
+def describe(store: Store, numbers: Sequence[int], camera: str, labels: bool) -> dict[str, Any]:
     """Return the description of the exported folder (schemas/folder.schema.json)."""
     document: dict[str, Any] = {
         "format": "nimprep-folder",
@@ -102,7 +125,7 @@ def describe(store: Store, numbers: Sequence[int], camera: str) -> dict[str, Any
         "depth": {"files": "depth_u16/{id}.png", "scale_m": 0.001},
         "camera": camera,
     }
-    if "label" in store.arrays and store.classes:
+    if labels and store.classes:
         document["label"] = {"files": "label/{id}.png"}
         document["classes"] = [
             {"id": c.id, "name": c.name, "color": list(c.color)} for c in store.classes
