@@ -85,6 +85,8 @@ class Frame:
         in their units: float32, NaN = none, or uint8 that is as it is stored.
     signs : mapping of str to float
         What was measured on the raw values: see `nimprep.doubts.raw`.
+    absent : frozenset of str
+        Modalities that the dataset has not for this frame; their images say none throughout.
 
     Raises
     ------
@@ -108,6 +110,7 @@ class Frame:
     cam_to_road: npt.NDArray[np.float64] | None = None
     others: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
     signs: Mapping[str, float] = field(default_factory=dict)
+    absent: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         try:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Unpack
 
+from nimprep.conversion.bad_frames import way_out_said
 from nimprep.conversion.compatibility import check_frames, options_like, padded_size
 from nimprep.conversion.doubted import warn_of_doubts
 from nimprep.conversion.growth import grow, grown_splits
@@ -97,7 +98,10 @@ def append_frames(
     source, target = Path(source), _folder(store)
     check_apart(source, target)
     start = progress or no_progress
-    with open_workspace(target, overwrite=True, task="append") as workspace:
+    with (
+        way_out_said(options),
+        open_workspace(target, overwrite=True, task="append") as workspace,
+    ):
         opened, old = root_digest(target), open_store(target)
         reading = asdict(options)
         del reading["skip_existing"]

@@ -233,8 +233,8 @@ def _stored_planes(frame: Frame, layout: StoreLayout) -> dict[str, npt.NDArray[A
 
 
 def _with_depth(frame: Frame, millimetres: npt.NDArray[np.uint16]) -> Frame:
-    """Return the frame with its depth as the store holds it, which must be some."""
-    if not millimetres.any():
+    """Return the frame with its depth as the store holds it: some, unless the dataset has none."""
+    if not millimetres.any() and "depth" not in frame.absent:
         raise ArrayError(
             "expected depth of 0.5 mm to 65.535 m somewhere, found none; check --depth-scale"
         )

@@ -139,6 +139,8 @@ class Journal:
         files = [
             name
             for frame_id in before.keys() & after.keys() - bad
+            # One that lacked a file may have it by now.
+            if before[frame_id]
             for name in changed_files(map(tuple, before[frame_id]), after[frame_id])
         ]
         if files:

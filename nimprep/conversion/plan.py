@@ -131,7 +131,9 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
     StoreError
         The store could not be opened: its attributes' schema does not know a modality.
     """
-    given = {"rgb", "depth", *(["label"] if reader.info.classes else [])}
+    given = {"rgb"}
+    given |= {"depth"} if reader.info.has_depth else set()
+    given |= {"label"} if reader.info.classes else set()
     planes = _planes(reader)
     every = MODALITIES | planes
     available = [name for name in MODALITIES if given_for([name]) <= given] + list(planes)
@@ -143,7 +145,15 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
                     f"--modalities: expected some of {', '.join(available).replace('_', '-')}, "
                     f"found {name!r}; choose among those"
                 )
-            hint = "" if reader.info.classes else " where there are no labels"
+            lost = [
+                f"no {what}"
+                for what, there in (
+                    ("depth", reader.info.has_depth),
+                    ("labels", reader.info.classes),
+                )
+                if not there
+            ]
+            hint = f" where there is {' and '.join(lost)}" if lost else ""
             raise LayoutError(
                 f"--modalities: expected some of {', '.join(available)}, found {name!r}{hint}; "
                 "choose among those"

@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Unpack
 
+from nimprep.conversion.bad_frames import way_out_said
 from nimprep.conversion.doubted import warn_of_doubts
 from nimprep.conversion.encode import encode_units
 from nimprep.conversion.gaps import (
@@ -106,7 +107,10 @@ def convert(
     # Before anything is written: what is wrong with these must not cost a conversion.
     plan_modalities(reader, options)
     plan_splits(reader, options, reader.ids)
-    with workspace_at(storage, overwrite=options.overwrite) as workspace:
+    with (
+        way_out_said(options),
+        workspace_at(storage, overwrite=options.overwrite) as workspace,
+    ):
         plan = make_plan(source, reader, options, workspace, start)
         records = encode(plan, start)
         finish(plan, records)

@@ -28,8 +28,7 @@ def frame_state(reader: Reader, frame_id: str) -> tuple[FileState, ...]:
             found = path.stat()
         except OSError as error:
             raise DecodeError(
-                f"{path}: expected a readable file, found {error.strerror}; mend it, or leave bad "
-                "frames out with --on-error skip"
+                f"{path}: expected a readable file, found {error.strerror}; mend it"
             ) from error
         states.append((_name(reader, path), found.st_size, found.st_mtime_ns))
     return tuple(states)
@@ -46,16 +45,21 @@ def frame_states(reader: Reader, *, skip_bad: bool = False) -> dict[str, tuple[F
     Raises
     ------
     DecodeError
-        A file is gone.
+        A frame lacks a file: the first one, with the number of those.
     """
     states: dict[str, tuple[FileState, ...]] = {}
+    bad: list[DecodeError] = []
     for frame_id in reader.ids:
         try:
             states[frame_id] = frame_state(reader, frame_id)
-        except DecodeError:
-            if not skip_bad:
-                raise
+        except DecodeError as error:
+            error.frame_id = frame_id
+            bad.append(error)
             states[frame_id] = ()
+    if bad and not skip_bad:
+        if len(bad) > 1:
+            bad[0].add_note(f"{len(bad)} of {len(reader.ids)} frames lack a file")
+        raise bad[0]
     return states
 
 
@@ -92,7 +96,6 @@ def frame_digest(reader: Reader, frame_id: str) -> str:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
         except OSError as error:
             raise DecodeError(
-                f"{path}: expected a readable file, found {error.strerror}; mend it, or leave bad "
-                "frames out with --on-error skip"
+                f"{path}: expected a readable file, found {error.strerror}; mend it"
             ) from error
     return digest.hexdigest()

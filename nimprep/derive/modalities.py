@@ -40,7 +40,7 @@ def fill_frame(frame: Frame, recipe: Recipe) -> tuple[Frame, npt.NDArray[np.bool
 
     The mask is None where the recipe fills nothing.
     """
-    if recipe.fill == "none" or frame.depth_m is None:
+    if recipe.fill == "none" or frame.depth_m is None or "depth" in frame.absent:
         return frame, None
     from nimprep.derive.completion import fill_depth
 
@@ -72,6 +72,9 @@ def derive(
     given = Given(frame, frame.depth_m, missing, recipe)
     for modality in MODALITIES.values():
         if modality.derived is None or modality.name not in modalities:
+            continue
+        if frame.absent.intersection(modality.derived.made_from):
+            images[modality.name] = modality.blank(frame.camera.shape)
             continue
         made: Made = resolve_name(modality.derived.make)(given)
         image = made.image

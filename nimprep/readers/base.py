@@ -33,6 +33,8 @@ class DatasetInfo:
         The rule that is usual for the dataset; None = no other than the default.
     planes : tuple of Modality
         What frames have in `others` beside the modalities that the tool knows: see `nimprep.plane`.
+    has_depth : bool
+        Whether frames have depth at all.
     """
 
     name: str
@@ -41,6 +43,7 @@ class DatasetInfo:
     notes: tuple[str, ...] = ()
     split_by: SplitRule | None = None
     planes: tuple[Modality, ...] = ()
+    has_depth: bool = True
 
 
 class Reader(Protocol):
@@ -53,7 +56,8 @@ class Reader(Protocol):
     root : Path
         The dataset's folder. A reader never writes into it.
     ids : tuple of str
-        Every frame, sorted; each has all its files (checked when the reader is made).
+        Every frame, sorted. Of one that lacks a file, `sources`, `shape` and `read` are a
+        `DecodeError`, which says so.
     """
 
     @property

@@ -105,7 +105,8 @@ def find_invalid_sides(
     def valid_sides(frame_id: str) -> tuple[Any, Any]:
         try:
             depth_m = reader.read(frame_id, ("depth",)).depth_m
-        except DecodeError:
+        except DecodeError as error:
+            error.frame_id = frame_id
             if not skip_bad:
                 raise
             return False, False
@@ -142,6 +143,7 @@ def frame_shapes(reader: Reader, *, skip_bad: bool = False) -> dict[tuple[int, i
         try:
             shapes.setdefault(reader.shape(frame_id), []).append(frame_id)
         except DecodeError as error:
+            error.frame_id = frame_id
             if not skip_bad:
                 raise
             bad = error

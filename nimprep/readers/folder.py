@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
@@ -25,8 +26,14 @@ from nimprep.readers.label_map import map_from_text, with_map
 from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
 from nimprep.readers.matching import Place, group_of, matched_frames
+from nimprep.readers.missing import judged
 from nimprep.readers.official_splits import official_splits
-from nimprep.readers.registration import camera_of_sizes, registered, registered_shape
+from nimprep.readers.registration import (
+    Registered,
+    camera_of_sizes,
+    registered,
+    registered_shape,
+)
 from nimprep.readers.undistortion import without_border
 from nimprep.splits import SplitName
 
@@ -61,7 +68,8 @@ class FolderReader(ReaderBase):
     Raises
     ------
     LayoutError
-        A folder is missing or empty, or a frame lacks a file.
+        A folder is missing or empty. A frame that lacks a file is bad: asking for its files, its
+        shape or itself is a `DecodeError`.
     """
 
     def __init__(
@@ -86,9 +94,13 @@ class FolderReader(ReaderBase):
         self._description, self._scale = description, depth_scale
         check_scale_option(depth_scale, description.depth)
         wanted = {name for name, _ in description.sources()} - (set() if labels else {"label"})
-        self._matched = matched_frames(self.root, description, wanted)
-        self._splits = official_splits(self.root, description, self._matched)
-        self.ids = tuple(i for i in self._matched.ids if i not in self._splits.skipped)
+        matched = matched_frames(self.root, description, wanted)
+        self._splits = official_splits(self.root, description, matched)
+        matched = replace(
+            matched, ids=tuple(i for i in matched.ids if i not in self._splits.skipped)
+        )
+        self._matched = judged(self.root, description, matched, self._splits.of_frame)
+        self.ids = self._matched.ids
         self._cameras = FrameCameras(
             self.root, description.camera, self._matched, camera, distortion
         )
@@ -97,6 +109,7 @@ class FolderReader(ReaderBase):
             name=description.name,
             classes=description.classes if "label" in self._matched.places else (),
             calibration=self._cameras.origin,
+            has_depth="depth" in self._matched.places,
             notes=(
                 *nominal,
                 *self._distortion_notes(),
@@ -136,9 +149,15 @@ class FolderReader(ReaderBase):
         return self._splits.of_frame.get(frame_id)
 
     def sources(self, frame_id: str) -> tuple[Path, ...]:
-        """Return the frame's image files and the camera files that hold for it."""
-        images = (place.path for place in self._matched.of(frame_id).values())
-        return (*images, *self._cameras.sources(frame_id))
+        """Return the frame's image files and the camera files that hold for it.
+
+        Raises
+        ------
+        DecodeError
+            It lacks one.
+        """
+        images = (place.path for place in self._places(frame_id).values())
+        return tuple(dict.fromkeys((*images, *self._cameras.sources(frame_id))))
 
     def shape(self, frame_id: str) -> tuple[int, int]:
         """Return (height, width) of the frame's images, from headers."""
@@ -155,10 +174,22 @@ class FolderReader(ReaderBase):
         camera = camera_of_sizes(self._cameras.of(frame_id), places, self._description)
         wanted = {*modalities, CONFIDENCE}
         images = self._images({n: p for n, p in places.items() if n in wanted}, camera)
+        absent = {n for n in self._matched.places if n in modalities and n not in places}
         if not images:
-            return self._frame(frame_id, camera.camera(*self.shape(frame_id), frame_id), {})
-        made = registered(frame_id, images, places, camera, self._description)
-        return self._frame(frame_id, made.camera, made.images)
+            made = Registered({}, camera.camera(*self.shape(frame_id), frame_id))
+        else:
+            made = registered(frame_id, images, places, camera, self._description)
+        images = {**made.images, **self._none(absent, made.camera.shape)}
+        return replace(self._frame(frame_id, made.camera, images), absent=frozenset(absent))
+
+    def _none(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, npt.NDArray[Any]]:
+        """Return images of a frame that has none of these kinds."""
+        return {
+            name: np.full(shape, np.nan, np.float32)
+            if name in self._description.planes
+            else MODALITIES[name].blank(shape)
+            for name in names
+        }
 
     def _frame(
         self, frame_id: str, camera: Camera, images: Mapping[str, npt.NDArray[Any]]

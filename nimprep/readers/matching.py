@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 from nimprep.errors import LayoutError
-from nimprep.readers.description import Description
-from nimprep.readers.frames import match_frames
+from nimprep.readers.description import Description, PlaneSource
+from nimprep.readers.found import Found, by_placeholders, found_images, only
+from nimprep.readers.found import Place as Place
 from nimprep.readers.patterns import capture, placeholders
-from nimprep.readers.tree import check_pattern, found_files
-
-Key = TypeVar("Key", bound=Hashable)
-
-
-@dataclass(frozen=True)
-class Place:
-    """Name a file, and which of the frames in it, where it holds many; None = all of it is one."""
-
-    path: Path
-    index: int | None = None
+from nimprep.readers.tree import found_files
 
 
 @dataclass(frozen=True)
@@ -53,7 +44,9 @@ class Matched:
 
 
 def matched_frames(root: Path, description: Description, wanted: Collection[str]) -> Matched:
-    """Find the files of every frame.
+    """Find the files of every frame; what one lacks, `nimprep.readers.missing` judges.
+
+    A file whose placeholders say a whole id makes a frame too where that has no colour image.
 
     Parameters
     ----------
@@ -63,21 +56,86 @@ def matched_frames(root: Path, description: Description, wanted: Collection[str]
     Raises
     ------
     LayoutError
-        A folder is missing or empty, there are no frames, or one lacks a file.
+        A folder is missing or empty, there are no frames, or two files claim to be one.
     """
-    found: dict[str, dict[str, Path]] = {}
+    template = description.id or "{id}"
+    colors = _colors(root, description.rgb, template)
+    captured = {i: found.values for i, found in colors.items()}
+    known = next(iter(captured.values()))
+    places = {"rgb": {i: found.place for i, found in colors.items()}}
     for name, source in description.sources():
-        if name not in wanted:
+        if source is description.rgb or name not in wanted:
             continue
-        try:
-            found[name] = files_by_id(root, source.files)
-        except LayoutError as error:
-            if source is not description.label:
-                raise
+        images = _images(root, source, labels=source is description.label)
+        names = [n for n in images[0].values if n in known] if images else []
+        places[name] = _joined(images, names, colors)
+        if set(placeholders(template)) <= set(names):
+            for frame_id, found in _alone(images, template, colors).items():
+                captured.setdefault(frame_id, found.values)
+                places[name][frame_id] = found.place
+    return Matched(tuple(sorted(captured)), places, captured=captured)
+
+
+def _images(root: Path, source: PlaneSource, *, labels: bool) -> list[Found]:
+    """Return every image of another kind than colour."""
+    try:
+        images = found_images(root, source)
+        if not images:
+            raise LayoutError(
+                f"{root}: expected files {source.files!r}, found none; compare the pattern with "
+                "the names there"
+            )
+    except LayoutError as error:
+        if source.missing == "none":
+            return []
+        if labels:
             raise LayoutError(f"{error}; use --no-labels to convert without") from error
-    ids = match_frames(found, root)
-    places = {name: {i: Place(path) for i, path in files.items()} for name, files in found.items()}
-    return Matched(ids, places, captured={i: {"id": i} for i in ids})
+        raise
+    return images
+
+
+def _colors(root: Path, source: PlaneSource, template: str) -> dict[str, Found]:
+    """Return the colour image of every frame that has one, by id."""
+    images = found_images(root, source)
+    if not images:
+        raise LayoutError(
+            f"{root}: expected rgb files {source.files!r}, found none; compare the pattern with "
+            "the names there"
+        )
+    known = images[0].values
+    if lost := [name for name in placeholders(template) if name not in known]:
+        raise LayoutError(
+            f"{root}: expected an id {template!r} of the placeholders of rgb's files "
+            f'{source.files!r}, found no {{{lost[0]}}} there; say it in "id" with those there are'
+        )
+    by_id: dict[str, list[Found]] = {}
+    for found in images:
+        by_id.setdefault(formatted(template, found.values), []).append(found)
+    for frame_id, same in by_id.items():
+        only([found.place for found in same], frame_id)
+    return {i: same[0] for i, same in by_id.items()}
+
+
+def _joined(
+    images: Sequence[Found], names: Sequence[str], colors: Mapping[str, Found]
+) -> dict[str, Place]:
+    """Return each frame's image: that whose placeholders stand for what its colour's do."""
+    places = by_placeholders(images, names)
+    keys = {i: tuple(found.values[name] for name in names) for i, found in colors.items()}
+    return {i: only(places[key], i) for i, key in keys.items() if key in places}
+
+
+def _alone(images: Sequence[Found], template: str, colors: Mapping[str, Found]) -> dict[str, Found]:
+    """Return the images, by id, of frames that have no colour image."""
+    alone: dict[str, Found] = {}
+    for found in images:
+        frame_id = formatted(template, found.values)
+        if frame_id in colors:
+            continue
+        if frame_id in alone:
+            only([alone[frame_id].place, found.place], frame_id)
+        alone[frame_id] = found
+    return alone
 
 
 def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
@@ -90,10 +148,8 @@ def files_by_id(root: Path, pattern: str) -> dict[str, Path]:
     """
     if pattern.count("{id}") != 1:
         raise LayoutError(f"{root}: expected a pattern with one {{id}}, found {pattern!r}")
-    found: dict[str, Path] = {}
-    for path, values in found_files(root, pattern):
-        _add(found, values["id"], path)
-    return found
+    found = by_placeholders(found_images(root, PlaneSource(files=pattern)), ("id",))
+    return {key[0]: only(places, key[0]).path for key, places in found.items()}
 
 
 def files_for(
@@ -104,7 +160,7 @@ def files_for(
     Parameters
     ----------
     pattern : str
-        Of its placeholders those count that frames have. With fewer than a frame has, frames
+        Of its placeholders those count that every frame has. With fewer than frames have, these
         share a file: the camera of a scene; with none of them, all do.
     captured : mapping of frame id to mapping of placeholder to str
         As `Matched.captured`.
@@ -119,29 +175,15 @@ def files_for(
     LayoutError
         The pattern leaves the folder, its folder is missing, or a frame has two such files.
     """
-    known = next(iter(captured.values()), {})
-    names = [name for name in placeholders(pattern) if name in known]
-    check_pattern(root, pattern)
-    if not placeholders(pattern) and not set("*?") & set(pattern):
-        return dict.fromkeys(captured, Place(root / pattern))
-    wanted = {i: tuple(values[name] for name in names) for i, values in captured.items()}
-    frame_of = {key: i for i, key in wanted.items()}
-    found: dict[tuple[str, ...], Path] = {}
-    for path, values in found_files(root, pattern):
-        key = tuple(values[name] for name in names)
-        if key in frame_of:
-            _add(found, key, path, frame_of[key])
-    return {i: Place(found[key]) for i, key in wanted.items() if key in found}
+    names = [n for n in placeholders(pattern) if all(n in values for values in captured.values())]
+    every = {i: Found(values, Place(root)) for i, values in captured.items()}
+    images = list(found_files(root, pattern))
+    return _joined([Found(values, Place(path)) for path, values in images], names, every)
 
 
-def _add(found: dict[Key, Path], key: Key, path: Path, frame_id: object = None) -> None:
-    """Keep a frame's file, the only one."""
-    if key in found:
-        raise LayoutError(
-            f"{path}: expected one file per id {frame_id or key!r}, found {found[key]} too; put "
-            "more of the path into placeholders, or narrow the pattern"
-        )
-    found[key] = path
+def formatted(template: str, values: Mapping[str, str]) -> str:
+    """Return a template with what its placeholders stand for."""
+    return re.sub(r"\{(\w+)\}", lambda found: values[found[1]], template)
 
 
 def group_of(frame_id: str, pattern: str | None) -> str:

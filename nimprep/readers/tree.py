@@ -24,9 +24,12 @@ def found_files(root: Path, pattern: str) -> Iterator[tuple[Path, dict[str, str]
     ------
     LayoutError
         The pattern leaves the folder, or its folder is missing; or a placeholder stands for what
-        cannot be printed.
+        cannot be printed. A pattern without any is a file, there or not.
     """
     check_pattern(root, pattern)
+    if not set("*?{") & set(pattern):
+        yield root / pattern, {}
+        return
     fixed = re.split(r"[^/]*[*?{]", pattern, maxsplit=1)[0]
     start = root / fixed
     # Path.is_dir raises where a name is too long for any file.

@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner, Result
+
+from nimprep.cli import main
 
 PROJECT = Path(__file__).resolve().parent.parent.parent
 
@@ -62,3 +65,8 @@ def _layouts() -> Any:
     finally:
         sys.dont_write_bytecode = before
     return module
+
+
+def nimprep_run(*arguments: object) -> Result:
+    """Run a command as the command line does."""
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])

@@ -87,7 +87,10 @@ def test_a_bad_frame_that_stays_bad_ends_it_again_and_loses_nothing(
     cut_short(gmrp, tmp_path / "s.zarr")
     with pytest.raises(DecodeError, match="000004") as caught:
         nimprep.convert(gmrp, tmp_path / "s.zarr", shard_length=2)
-    assert caught.value.__notes__ == ["4 of 7 frames are kept: the same command goes on from them"]
+    assert caught.value.__notes__ == [
+        "4 of 7 frames are kept: the same command goes on from them",
+        "--on-error skip leaves such frames out",
+    ]
 
 
 def test_a_fault_before_the_first_shard_leaves_nothing_at_all(gmrp: Path, tmp_path: Path) -> None:

@@ -187,7 +187,7 @@ def test_a_frame_without_its_camera_file_is_named(tmp_path: Path) -> None:
         ({"label": {"files": "label/{id}.png", "map": {"40": 3}}}, "found 3"),
         ({"colour": 1}, "colour"),
         ({"rgb": "missing/{id}.png"}, "missing"),
-        ({"rgb": "color/{id}.jpg"}, "expected rgb for every frame"),
+        ({"rgb": "color/{id}.jpg"}, "expected rgb files"),
     ],
 )
 def test_a_description_that_cannot_be_is_refused(

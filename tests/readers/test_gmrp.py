@@ -125,8 +125,13 @@ def test_an_unknown_reader_is_refused_with_those_there_are(gmrp: Path) -> None:
 @pytest.mark.parametrize("folder", ["rgb", "depth_u16", "label"])
 def test_a_frame_that_lacks_a_modality_is_named(gmrp: Path, folder: str) -> None:
     (gmrp / folder / "000002.png").unlink()
-    with pytest.raises(LayoutError, match="'000002'"):
-        open_reader(gmrp)
+    reader = open_reader(gmrp)
+    name = {"depth_u16": "depth"}.get(folder, folder)
+    said = rf"{folder}/000002\.png: expected {name} of frame '000002', found none$"
+    for ask in (reader.read, reader.sources, reader.shape):
+        with pytest.raises(DecodeError, match=said):
+            ask("000002")
+    assert reader.read("000001").label is not None
 
 
 def test_labels_need_not_be_there_when_not_asked_for(tmp_path: Path) -> None:
