@@ -43,8 +43,7 @@ def judged(
             lost = [i for i in lost if i in matched.places["depth"]]
         if source.missing == "error":
             for i in lost:
-                values = {"id": i, **matched.captured[i]}
-                path = re.sub(r"\{(\w+)\}", lambda m, v=values: v.get(m[1], "*"), source.files)
+                path = _expected(source.files, {"id": i, **matched.captured[i]})
                 told = f"{root / path}: expected {name} of frame {i!r}, found none"
                 # The first is the one that ends a conversion, and looking costs.
                 lacking.setdefault(i, told if lacking else told + _other_ending(root / path))
@@ -82,6 +81,11 @@ def _unlabelled(
                 "throughout there"
             )
     return found if labelled else ()
+
+
+def _expected(pattern: str, values: Mapping[str, str]) -> str:
+    """Return a pattern with what is known of a frame, and a star for what is not."""
+    return re.sub(r"\{(\w+)\}", lambda part: values.get(part[1], "*"), pattern)
 
 
 def _other_ending(path: Path) -> str:
