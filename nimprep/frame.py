@@ -161,8 +161,8 @@ class Frame:
 
     def __iter__(self) -> Iterator[str]:
         """Yield the modalities of which the frame has an image."""
-        names = dict.fromkeys((*modality.MODALITIES, *self.others))
-        return (name for name in names if self.image(name) is not None)
+        yield from (name for name in modality.MODALITIES if self.image(name) is not None)
+        yield from (name for name in self.others if name not in modality.MODALITIES)
 
     def image(self, name: str) -> npt.NDArray[Any] | None:
         """Return the image of a modality by its name, an attribute or one of `others`.

@@ -58,10 +58,13 @@ def test_what_is_masked_is_none_and_colours_cannot_be(name: str) -> None:
 def test_an_image_that_must_be_there_is_asked_for_by_its_modality() -> None:
     frame = Frame("a", CAMERA, depth_m=np.ones((2, 3), np.float32), others={"distance": MASK})
     assert frame["depth"] is frame.depth_m
-    assert list(frame) == ["depth"]
+    assert list(frame) == ["depth", "distance"]
     assert "depth" in frame
     assert "rgb" not in frame
-    with pytest.raises(ArrayError, match=r"^frame 'a': expected rgb, found depth; ask for one"):
+    assert frame["distance"] is MASK
+    with pytest.raises(
+        ArrayError, match=r"^frame 'a': expected rgb, found depth, distance; ask for one"
+    ):
         frame["rgb"]
     with pytest.raises(ArrayError, match="found 'depth_m'"):
         frame["depth_m"]

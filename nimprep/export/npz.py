@@ -35,9 +35,10 @@ def frame_arrays(
     dict
         As far as the store has them: `rgb` (H, W, 3) uint8, R, G, B; `depth_m` (H, W) float32,
         metres, 0 = none; `normal` (H, W, 3) float32 unit vectors in the camera frame, (0, 0, 0) =
-        none; `hha` (H, W, 3) uint8; `label` (H, W) uint8, 255 = ignore; what else it has, as
-        `Frame` says. Always: `K` (3, 3) float64, pixels; `baseline_m`, `cam_to_road` (3, 4) and
-        `gravity` (3,), NaN = none; `id`, `split` and `group`, text.
+        none; `hha` (H, W, 3) uint8; `label` (H, W) uint8, 255 = ignore; what else it has, the
+        dataset's own planes too, as `Frame` says. Always: `K` (3, 3) float64,
+        pixels; `baseline_m`, `cam_to_road` (3, 4) and `gravity` (3,), NaN = none; `id`, `split` and
+        `group`, text.
     """
     frame, tables = store[index], store.tables
     found: dict[str, npt.NDArray[Any]] = {}

@@ -13,11 +13,13 @@ Modalities that are asked for by name stand in folders of their names (``hha/000
 
 What the layout has no place for is not there: the transform to the road, and the direction of
 gravity. Where a store has that transform (KITTI), HHA made from the folder differs from its HHA.
+Planes of the dataset's own are left out, which is said, unless they are asked for by name.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -64,6 +66,13 @@ def raw_modalities(store: Store) -> list[str]:
         raise StoreError(
             f"{store.path}: expected one of {', '.join(RAW)} for --format png, "
             f"found {', '.join(store.modalities)}; name what to write with --modalities"
+        )
+    if store.planes:
+        names = ", ".join(plane.name for plane in store.planes)
+        warnings.warn(
+            f"{store.path}: {names}: GMRP's layout has no place for them, so they are left out; "
+            "name them with --modalities, or use --format npz",
+            stacklevel=2,
         )
     return there
 

@@ -7,6 +7,7 @@
 /camera/normal    PNG in the usual colours
 /camera/hha       PNG
 /camera/label     class ids
+/camera/thermal   and other planes of the dataset's own: float32 in their units, NaN = none
 /points           points in the camera frame, metres, with colour and class
 /frame            id, split, group
 
@@ -170,6 +171,8 @@ def _entries(store: Store, index: int) -> dict[str, Any]:
             entries[f"camera/{name}"] = png
     if frame.label is not None:
         entries["camera/label"] = rr.SegmentationImage(frame.label)
+    for plane in store.planes:
+        entries[f"camera/{plane.name}"] = rr.Image(frame[plane.name], color_model="L")
     if frame.depth_m is not None:
         height, width = camera.shape
         millimetres = store.arrays["depth"].read(index)[:height, :width]
