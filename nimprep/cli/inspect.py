@@ -14,15 +14,38 @@ from nimprep.cli.options import json_option
 @click.command()
 @click.argument("src", type=click.Path(path_type=Path))
 @json_option
-def inspect(src: Path, as_json: bool) -> None:
+@click.option(
+    "--write",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write a description to start from, for convert's --description.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace FILE where it is there already.")
+def inspect(src: Path, as_json: bool, write: Path | None, overwrite: bool) -> None:
     """Say what SRC is: a folder of images, an archive, a recording or a store.
 
     Files are grouped by pattern, some of each are decoded, and what they are is told by their
     values first and their names second: colour, labels, depth and what its numbers mean, with the
-    evidence.
+    evidence. Nothing is written but what --write names.
     """
+    from nimprep.errors import LayoutError
+    from nimprep.files import check_file, write_whole
     from nimprep.inspection.inspection import inspect_source
     from nimprep.inspection.wording import inspection_text
+    from nimprep.schema import json_bytes
 
-    document = inspect_source(src).to_dict()
+    if write is not None:
+        check_file(write, src, overwrite=overwrite)
+    found = inspect_source(src)
+    if write is not None:
+        if found.description is None:
+            raise LayoutError(
+                f"{src}: expected colour images to describe, found {found.what}; "
+                "leave out --write to see what is there"
+            )
+        write_whole(write, json_bytes(found.description), src, overwrite=overwrite)
+        found.next_steps = [
+            f"look through {write}, then: nimprep convert {src} OUT.zarr --description {write}"
+        ]
+    document = found.to_dict()
     echo(json.dumps(document, indent=2) if as_json else inspection_text(document), lines=True)

@@ -165,7 +165,7 @@ def _of_text(text: str) -> Calibration | None:
         elif _PLAIN.match(line) and len(plain) < 32:
             plain += [float(number) for number in _NUMBERS.findall(line)]
     if made := _of_document(named):
-        numbers = dict(made.numbers)
+        numbers = {**_stereo_baseline(named), **made.numbers}
         # Middlebury's baseline is in millimetres, and its cameras are called cam0 and cam1.
         if "cam0" in named and "doffs" in named:
             numbers["baseline_m"] = numbers.get("baseline_m", 0.0) / 1000
@@ -184,6 +184,19 @@ def _of_text(text: str) -> Calibration | None:
         if all(number > 1 for number in plain):
             return Calibration(dict(zip(names, plain, strict=False)))
     return None
+
+
+def _stereo_baseline(named: Mapping[str, Any]) -> dict[str, float]:
+    """Return the baseline between KITTI's colour cameras, metres: P's fourth number is -fx b."""
+    for left, right in (("P_rect_02", "P_rect_03"), ("P2", "P3")):
+        first, second = named.get(left), named.get(right)
+        if not isinstance(first, list) or not isinstance(second, list):
+            continue
+        if len(first) == len(second) == 12:
+            baseline = (first[3] - second[3]) / first[0] if first[0] else 0.0
+            if baseline > 0.01:
+                return {"baseline_m": baseline}
+    return {}
 
 
 _COLUMNS = {"K[0,0]": "fx", "K[1,1]": "fy", "K[0,2]": "cx", "K[1,2]": "cy"}

@@ -38,31 +38,31 @@ CONVENTIONS: tuple[Convention, ...] = (
         r"proj_depth|velodyne_raw|depth_annotated|dense_depth|sparse_depth|depth-map|"
         r"lidar_depth|(?<!v)kitti(?!2)",
         1 / 256,
-        3,
+        4,
         "LiDAR depth in images is mostly written as KITTI's: 256 units per metre",
     ),
     Convention(
         rf"{_STAMPS}|^(rgb|depth)\.txt$|^associat\w*\.txt$|freiburg|^groundtruth\.txt$|\bicl|eth3d",
         1 / 5000,
-        3,
+        4,
         "TUM RGB-D's way of naming goes with its 5000 units per metre",
     ),
     Convention(
         r"replica|(^|/)results/(frame|depth)\d|cam_params",
         1 / 6553.5,
-        3,
+        5,
         "Replica as rendered for SLAM has 6553.5 units per metre",
     ),
     Convention(
         r"matterport|undistorted_depth|_d\d_\d|(^|/)mp3d",
         1 / 4000,
-        3,
+        5,
         "Matterport has 4000 units per metre",
     ),
     Convention(
         r"vkitti|(^|/)Scene\d\d/|synthia",
         0.01,
-        3,
+        4,
         "Virtual KITTI's and SYNTHIA's depth is in centimetres",
     ),
     Convention(

@@ -19,7 +19,7 @@ from nimprep.inspection.encodings import (
 )
 from nimprep.inspection.examination import CameraFiles, Examination, Plane
 from nimprep.inspection.kinds import Kind
-from nimprep.inspection.planes import byte_order
+from nimprep.inspection.planes import byte_order, float_order, floats_of
 from nimprep.inspection.raw_depth import ground_of, planes_of, raw_depth_of
 
 
@@ -34,6 +34,14 @@ def depth_encodings(found: Examination, plane: Plane) -> list[Encoding]:
     )
     pixels = [sample.pixels for sample in plane.samples]
     if pixels[0].ndim == 3 and pixels[0].dtype == np.uint8:
+        packed = float_order(pixels)
+        if packed:
+            planes = [floats_of(each, packed) for each in pixels]
+            read = {"bytes": packed, "bytes_as": "float32"}
+            return [
+                replace(each, document={**each.document, **read})
+                for each in encodings_of(planes, clues)
+            ]
         order = byte_order(pixels)
         return encodings_of_bytes(pixels, order, clues) if order else []
     planes = planes_of(plane.samples, plane.guess.channel)
@@ -103,11 +111,13 @@ def _fitness(camera: CameraFiles, plane: Plane) -> tuple[bool, bool, int]:
 
 
 def sorted_depth(planes: Sequence[Plane]) -> list[Plane]:
-    """Return planes of depth, raw and dense ones first."""
+    """Return planes of depth, whole ones first."""
     order = ("sparse", "raw", "gt", "right", "pred", "est")
 
     def rank(plane: Plane) -> tuple[int, int]:
-        later = sum(word in plane.pattern.lower() for word in order)
+        name = plane.pattern.lower()
+        later = sum(word in name for word in order)
+        later -= any(word in name for word in ("bfx", "filled", "refined"))
         return later, -len(plane.template.members)
 
     return sorted(planes, key=rank)

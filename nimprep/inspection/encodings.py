@@ -230,7 +230,7 @@ def _steps(raw: RawDepth, scale: float) -> tuple[list[str], float]:
         if float((values % step == 0).mean()) > 0.995:
             fits = math.isclose(scale * step, MILLIMETRE)
             why = [f"all values are multiples of {step}: millimetres times {step}"] if fits else []
-            return why, 3.0 if fits else 0.0
+            return why, (3.0 if step == 4 else 5.0) if fits else 0.0
     return [], 0.0
 
 

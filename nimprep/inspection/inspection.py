@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from nimprep.errors import DecodeError, LayoutError
+from nimprep.errors import DecodeError, LayoutError, NimprepError
 from nimprep.files import read_file
+from nimprep.inspection.arrangement import arranged
 from nimprep.inspection.depth_guess import depth_encodings, sorted_depth
+from nimprep.inspection.describe import describe
 from nimprep.inspection.encodings import Encoding
 from nimprep.inspection.examination import Examination, Plane, examined
 from nimprep.inspection.holdings import Holding, holding_at
@@ -21,6 +23,8 @@ from nimprep.inspection.layouts import fitting_reader
 from nimprep.inspection.survey import Survey, survey_folder
 from nimprep.inspection.templates import Template
 from nimprep.readers import ReaderName
+from nimprep.readers.description_file import description_from_document
+from nimprep.readers.folder import FolderReader
 from nimprep.readers.nearby import nearby_dataset
 
 _MOST_LINES = 20
@@ -282,7 +286,7 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
         made.next_steps = [f"nimprep convert {made.source} OUT.zarr"]
     elif found.planes:
         made.kind, made.what = "images", _summary(found)
-        made.next_steps = ["write a description of them (schemas/folder.schema.json)"]
+        _describe(made, found)
     elif found.holdings:
         first = found.holdings[0]
         made.kind = first.kind if first.kind != "image" else "images"
@@ -294,6 +298,25 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
         made.kind, made.what = "images", "no images itself"
     if near is not None:
         made.next_steps.insert(0, f"nimprep inspect {near}")
+
+
+def _describe(made: Inspection, found: Examination) -> None:
+    """Add a description to start from, and how far it goes."""
+    arrangement = arranged(found, made.depth)
+    if arrangement is None:
+        made.notes.append("no colour images, which a dataset needs")
+        return
+    described = describe(found, arrangement)
+    made.description = described.document
+    made.notes += described.notes
+    made.next_steps = [f"nimprep inspect {made.source} --write FILE.json"]
+    try:
+        description = description_from_document(described.document, "description")
+        reader = FolderReader(found.survey.root, description)
+        made.notes.append(f"the description gives {len(reader.ids)} frames")
+    except NimprepError as error:
+        reason = " ".join(str(error).split())
+        made.notes.append(f"the description needs your help: {reason}")
 
 
 def _summary(found: Examination) -> str:

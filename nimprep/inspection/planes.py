@@ -113,6 +113,9 @@ def _bytes(pattern: str, hint: Kind, named: tuple[str, ...], samples: list[Sampl
     values = [sample.pixels for sample in samples]
     channels = values[0].shape[2]
     alpha = channels == 4 and any(int(v[..., 3].min()) != int(v[..., 3].max()) for v in values)
+    packed = float_order(values)
+    if packed:
+        return Guess(Kind.DEPTH, (*named, f"{packed} are the bytes of float32 numbers"))
     order = byte_order(values)
     if order and (hint == Kind.DEPTH or not alpha):
         return Guess(Kind.DEPTH, (*named, f"{order} are bytes of one number: only it is smooth"))
@@ -155,6 +158,30 @@ def byte_order(values: list[npt.NDArray[Any]]) -> str:
     return ""
 
 
+def float_order(values: list[npt.NDArray[Any]]) -> str:
+    """Return the channels whose bytes make float32 numbers that may be metres; "" = none do."""
+    if values[0].shape[2] != 4:
+        return ""
+    for order in ("BGRA", "RGBA"):
+        planes = [floats_of(v, order) for v in values]
+        if all(_may_be_metres(plane) for plane in planes):
+            return order
+    return ""
+
+
+def floats_of(pixels: npt.NDArray[Any], order: str) -> npt.NDArray[np.float32]:
+    """Return the float32 numbers whose bytes lie in the channels, the lowest first."""
+    places = ["RGBA".index(name) for name in order]
+    return np.ascontiguousarray(pixels[..., places]).view("<f4")[..., 0]
+
+
+def _may_be_metres(plane: npt.NDArray[np.float32]) -> bool:
+    with np.errstate(invalid="ignore"):
+        fits = (plane == 0) | ((plane > 1e-3) & (plane < 1e5))
+        calm = float(np.median(np.abs(np.diff(np.log(np.maximum(plane, 1e-3)), axis=1)))) < 0.2
+    return bool(fits.mean() > 0.97 and (plane > 0).mean() > 0.05 and calm)
+
+
 def _bytes_of_one(low_first: npt.NDArray[Any]) -> bool:
     low, middle, high = (low_first[..., k] for k in range(3))
     whole = low + 256 * middle + 65536 * high
@@ -186,7 +213,7 @@ def _colours(pixels: npt.NDArray[Any]) -> int:
 
 def _blocky(values: list[npt.NDArray[Any]]) -> bool:
     """Tell whether most neighbours are equal, as in labels."""
-    return all(float((np.diff(v, axis=1) == 0).mean()) > 0.85 for v in values)
+    return all(float((np.diff(v, axis=axis) == 0).mean()) > 0.85 for v in values for axis in (0, 1))
 
 
 def _unit_vectors(values: list[npt.NDArray[Any]]) -> bool:

@@ -11,6 +11,12 @@ from nimprep.inspection.words import SPLITS, has_role, words_of
 
 _FIELDS = re.compile(r"[^_\-. ]+|[_\-. ]+")
 _CAMERA = re.compile(r"cam(era)?[_\-. ]?\d+/", re.IGNORECASE)
+_END = re.compile(
+    r"(?<=\d)[_\-. ]+[A-Za-z][A-Za-z\d]*(?:[_\-. ][A-Za-z][A-Za-z\d]*)*$|[_\-. ][A-Za-z]+$|$"
+)
+_VIEW = re.compile(r"(im|view|disp)\d(GT|[ynLE])?$")
+"""Middlebury's names: the digit is the camera."""
+
 _MANY = 12
 """So many sibling folders of one shape are scenes, whatever their names."""
 
@@ -115,12 +121,14 @@ def _visit(
         if not placeholder:
             _visit(children[names[0]], f"{pattern}{names[0]}/", found, look)
             continue
+        # Camera_0 and Camera_1 are cameras 0 and 1, as tables call them too.
+        head = _camera_head(names) if placeholder.startswith("camera") else ""
         inner = [
-            (child, {**captured, placeholder: name})
+            (child, {**captured, placeholder: name[len(head) :]})
             for name in names
             for child, captured in children[name]
         ]
-        _visit(inner, f"{pattern}{{{placeholder}}}/", found, look)
+        _visit(inner, f"{pattern}{head}{{{placeholder}}}/", found, look)
 
 
 def _classes(
@@ -158,10 +166,19 @@ def _classes(
     return made
 
 
+def _camera_head(names: Sequence[str]) -> str:
+    """Return what all names begin with before a number; "" where some have none."""
+    match = re.match(r"\D+(?=\d)", names[0])
+    head = match[0] if match else ""
+    return head if all(re.fullmatch(rf"{re.escape(head)}\d+", name) for name in names) else ""
+
+
 def _signature(folder: _Folder, look: Callable[[str], str]) -> set[str]:
     """Return what a folder has in it, down to folders whose names say what they hold."""
-    found = {f"{_key(name)} {look(folder.path + name)}" for name in folder.files[:1]}
-    found |= {str(_key(name)) for name in folder.files[:100]}
+    firsts: dict[tuple[str, ...], str] = {}
+    for name in folder.files[:100]:
+        firsts.setdefault(_key(name), name)
+    found = {f"{key} {look(folder.path + name)}" for key, name in firsts.items()}
     for name, child in list(folder.folders.items())[:100]:
         found |= {f"{name}/"} if has_role(name) else _signature(child, look)
     return found
@@ -184,6 +201,8 @@ def _free(name: str, pattern: str) -> str:
 def _key(name: str) -> tuple[str, ...]:
     """Return what tells a file's kind from that of others in its folder."""
     stem, _, ending = name.rpartition(".")
+    if _VIEW.match(stem):
+        return (ending.lower(), stem)
     parts = [part for part in _FIELDS.findall(stem or ending) if part[0] not in "_-. "]
     numbers = [place for place, part in enumerate(parts) if part[0].isdigit()]
     last = numbers[-1] if numbers else len(parts)
@@ -214,7 +233,7 @@ def _template(folder: str, members: list[Member]) -> Template:
     stems = {member.stem for member in members}
     name = members[0].name
     ending = name[len(members[0].stem) :]
-    if len(stems) == 1 and not re.search(r"\d", name[: len(members[0].stem)]):
+    if len(stems) == 1 and (_VIEW.match(members[0].stem) or not re.search(r"\d", members[0].stem)):
         return Template(folder, name, "", tuple(members), fixed=True)
     if len(stems) == 1 and len(members) > 1:
         return Template(folder, name, "", tuple(members), fixed=True)
@@ -236,7 +255,7 @@ def affixes(stems: Sequence[str]) -> tuple[str, str]:
     tail = 0
     while tail < shortest and low[tail] == high[tail]:
         tail += 1
-    match = re.search(r"(?<=[\d])[_\-. ]+[A-Za-z]\w*$|[_\-. ][A-Za-z]+$|$", first)
+    match = _END.search(first)
     suffix = match[0] if match else ""
     if len(suffix) > tail or len(prefix) + len(suffix) >= shortest:
         suffix = ""

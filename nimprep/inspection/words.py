@@ -27,8 +27,7 @@ def _set(text: str) -> frozenset[str]:
 
 HINTS: dict[Kind, frozenset[str]] = {
     Kind.DEPTH: _set(
-        "depth depths depthmap depthmaps dep dense sparse zbuffer distance range bfx groundtruth "
-        "velodyne"
+        "depth depths depthmap depthmaps dep dense sparse zbuffer distance range bfx groundtruth"
     ),
     Kind.DISPARITY: _set("disp disps disparity disparities occ noc"),
     Kind.LABEL: _set(

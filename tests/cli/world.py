@@ -70,6 +70,7 @@ CALLS = {
     "inspect": [
         Call(("inspect", RAW)),
         Call(("inspect", Path("road"), "--json")),
+        Call(("inspect", RAW, "--write", NEW), "file", "write"),
     ],
     "convert": [Call(("convert", RAW, NEW, *DESCRIBED), "store")],
     "append": [Call(("append", Path("more"), S, *DESCRIBED))],

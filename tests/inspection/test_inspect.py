@@ -1,0 +1,204 @@
+"""Archives, recordings, stores, folders one too deep, and hostile ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import tarfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import nimprep
+from nimprep.cli import main
+from nimprep.errors import LayoutError
+from nimprep.inspection import survey
+from nimprep.inspection.inspection import inspect_source
+from nimprep.readers import open_reader
+from nimprep.schema import schema_problems
+from tests.fakes import write_gmrp, write_png
+from tests.inspection import scenes
+
+
+def test_a_layout_with_a_reader_is_named_with_the_command(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "gmrp")
+    found = inspect_source(raw)
+    assert (found.kind, found.reader) == ("reader", "gmrp")
+    assert found.next_steps == [f"nimprep convert {raw} OUT.zarr"]
+
+
+def test_a_folder_of_rgb_alone_is_no_gmrp(tmp_path: Path) -> None:
+    scenes.icl_nuim(tmp_path / "raw")
+    assert inspect_source(tmp_path / "raw").reader is None
+
+
+@pytest.mark.parametrize("inner", ["gmrp", "data/gmrp"])
+def test_one_folder_too_high_asks_whether_the_inner_one_was_meant(
+    tmp_path: Path, inner: str
+) -> None:
+    write_gmrp(tmp_path / "raw" / inner)
+    meant = tmp_path / "raw" / inner
+    assert f"did you mean {meant}?" in inspect_source(tmp_path / "raw").notes
+    with pytest.raises(LayoutError, match=f"did you mean {meant}"):
+        open_reader(tmp_path / "raw")
+
+
+def test_one_folder_too_deep_asks_whether_the_outer_one_was_meant(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "gmrp")
+    assert f"did you mean {raw}?" in inspect_source(raw / "label").notes
+
+
+def test_an_archive_says_what_is_in_it(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "gmrp")
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        for path in sorted(raw.rglob("*.png")):
+            archive.write(path, path.relative_to(tmp_path))
+    with tarfile.open(tmp_path / "b.tar.gz", "w:gz") as packed:
+        packed.add(raw, "gmrp")
+    for name in ("a.zip", "b.tar.gz"):
+        found = inspect_source(tmp_path / name)
+        assert found.kind == "archive"
+        assert "GMRP's layout" in found.what or name == "b.tar.gz"
+        assert any(entry.endswith(".png") for entry in found.holdings[0].names)
+        assert "unpack" in found.next_steps[0]
+
+
+def test_a_folder_of_archives_names_them(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "depth.zip", "w") as archive:
+        archive.writestr("depth/0.png", b"")
+    found = inspect_source(tmp_path)
+    assert (found.kind, found.holdings[0].names) == ("archive", ("depth/0.png",))
+
+
+RECORDINGS = {
+    "a.bag": b"#ROSBAG V2.0\n" + b"\0" * 40 + b"topic=/camera/depth" + b"\x04\0\0\0",
+    "b.mcap": b"\x89MCAP0\r\n" + b"\x0d\0\0\0/camera/depth\x03\0\0\0cdr",
+    "c.svo2": b"something",
+    "d.mp4": b"\0\0\0\x20ftypisom" + b"\0" * 20,
+    "e.avi": b"RIFF\0\0\0\0AVI LIST",
+    "f.mkv": b"\x1a\x45\xdf\xa3" + b"\0" * 20,
+}
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_recordings_are_told_by_their_signatures(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(RECORDINGS[name])
+    found = inspect_source(tmp_path / name)
+    assert found.kind == "recording"
+    assert "export" in found.next_steps[0]
+    if name in ("a.bag", "b.mcap"):
+        assert found.holdings[0].names == ("/camera/depth",)
+    assert inspect_source(tmp_path).kind == "recording"
+    assert not schema_problems(found.to_dict(), "inspection")
+
+
+def test_topics_of_a_database_are_read_and_nothing_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics (name TEXT)")
+        database.execute("INSERT INTO topics VALUES ('/camera/color'), ('/camera/depth')")
+    database.close()
+    before = sorted(tmp_path.iterdir()), path.read_bytes()
+    found = inspect_source(path)
+    assert (found.kind, found.holdings[0].names) == (
+        "recording",
+        ("/camera/color", "/camera/depth"),
+    )
+    assert (sorted(tmp_path.iterdir()), path.read_bytes()) == before
+
+
+@pytest.mark.parametrize(
+    ("start", "what"),
+    [
+        (b"\0\0\0\x18ftypheic", "HEIC"),
+        (b"GIF89a", "GIF"),
+        (b"7z\xbc\xaf\x27\x1c", "7z"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"MATLAB 5.0 MAT-file", "MATLAB v5"),
+    ],
+)
+def test_other_formats_are_named(tmp_path: Path, start: bytes, what: str) -> None:
+    (tmp_path / "x.data").write_bytes(start + b"\0" * 100)
+    assert what in inspect_source(tmp_path / "x.data").what
+
+
+def test_a_store_is_called_one(tmp_path: Path) -> None:
+    nimprep.convert(write_gmrp(tmp_path / "raw"), tmp_path / "s.zarr", camera=(30, 30, 16, 12))
+    found = inspect_source(tmp_path / "s.zarr")
+    assert (found.kind, found.next_steps) == ("store", [f"nimprep info {tmp_path / 's.zarr'}"])
+    assert "s.zarr is a store" in " ".join(inspect_source(tmp_path).notes)
+
+
+def test_nothing_is_one_line_and_exit_1(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for name in ("empty", "missing"):
+        result = CliRunner().invoke(main, ["inspect", str(tmp_path / name)])
+        assert result.exit_code == 1
+        assert result.stderr.count("\n") == 1
+        assert result.stderr.startswith("error: ")
+
+
+def test_a_description_is_written_once_and_converts(tmp_path: Path) -> None:
+    raw, file, out = tmp_path / "raw", tmp_path / "d.json", tmp_path / "out.zarr"
+    scenes.nameless(raw)
+    runner = CliRunner()
+    result = runner.invoke(main, ["inspect", str(raw), "--write", str(file)])
+    assert result.exit_code == 0, result.output
+    assert f"nimprep convert {raw} OUT.zarr --description {file}" in result.output
+    again = runner.invoke(main, ["inspect", str(raw), "--write", str(file)])
+    assert again.exit_code == 1
+    given = ["--description", str(file), "--intrinsics", "80,80,47.5,20", "--quiet"]
+    result = runner.invoke(main, ["convert", str(raw), str(out), *given])
+    assert result.exit_code == 0, result.output
+    store = nimprep.open_store(out)
+    for k in range(scenes.FRAMES):
+        depth = store[store.ids.index(str(k))].depth_m
+        assert depth is not None
+        np.testing.assert_allclose(depth, scenes.street(k)[1], atol=1 / 256 + 0.001)
+
+
+def test_the_same_object_is_printed_as_json(tmp_path: Path) -> None:
+    scenes.icl_nuim(tmp_path / "raw")
+    result = CliRunner().invoke(main, ["inspect", str(tmp_path / "raw"), "--json"])
+    assert json.loads(result.stdout) == inspect_source(tmp_path / "raw").to_dict()
+
+
+def test_bad_files_are_a_line_each(tmp_path: Path) -> None:
+    scenes.icl_nuim(tmp_path)
+    (tmp_path / "rgb" / "1.png").write_bytes(b"\x89PNG\r\n\x1a\n broken")
+    (tmp_path / "depth" / "0.png").write_bytes(b"")
+    (tmp_path / "depth" / "loop").symlink_to(tmp_path)
+    (tmp_path / "rgb" / "gone.png").symlink_to(tmp_path / "nowhere.png")
+    os.mkfifo(tmp_path / "rgb" / "pipe.png")
+    found = inspect_source(tmp_path).to_dict()
+    said = " ".join(found["problems"])
+    for name in ("rgb/1.png", "depth/0.png", "depth/loop", "rgb/gone.png"):
+        assert name in said
+    assert found["depth"][0]["encodings"][0]["depth"]["scale_m"] == 1 / 5000
+
+
+def test_links_to_folders_are_followed_once(tmp_path: Path) -> None:
+    scenes.icl_nuim(tmp_path / "a")
+    (tmp_path / "b").mkdir()
+    for name in ("rgb", "depth"):
+        (tmp_path / "b" / name).symlink_to(tmp_path / "a" / name)
+    (tmp_path / "b" / "again").symlink_to(tmp_path / "a" / "rgb")
+    counts = {
+        row["files"]: row["count"] for row in inspect_source(tmp_path / "b").to_dict()["patterns"]
+    }
+    assert sum(counts.values()) == 2 * scenes.FRAMES
+
+
+def test_beyond_a_number_of_files_it_says_that_there_are_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for k in range(30):
+        write_png(tmp_path / f"rgb/{k:03d}.png", np.full((4, 4, 3), k, np.uint8))
+    monkeypatch.setattr(survey, "MAX_FILES", 20)
+    found = inspect_source(tmp_path).to_dict()
+    assert found["sampled"]
+    assert found["files"] == 20
