@@ -87,7 +87,7 @@ def _colors(found: Examination) -> list[Plane]:
 
 def _worth(plane: Plane, depths: Sequence[Plane]) -> tuple[float, ...]:
     """Return how good a pattern is as a frame's colour: with depth, named so, many."""
-    words = set(words_of(plane.pattern))
+    words = set(words_of(plane.name))
     score = 0.0
     score += 2 * bool(words & {"rgb", "color", "colour", "rgbs", "colors"})
     score += 1 * bool(words & {"image", "images", "left", "img", "pylon"})
@@ -103,7 +103,7 @@ def _labels(found: Examination) -> list[Plane]:
     later = {"color", "colour", "instance", "edge", "vis", "lane", "raw", "full", "13", "37", "894"}
 
     def rank(plane: Plane) -> int:
-        return order[plane.kind] + len(later & set(words_of(plane.pattern)))
+        return order[plane.kind] + len(later & set(words_of(plane.name)))
 
     return sorted(found.of_kind(*order), key=rank)
 
@@ -126,16 +126,19 @@ class _Form:
             self.color = ""
         self.others: dict[str, str] = {}
         self.matched = 0
-        self._folders: dict[str, str] = {}
 
     def fit(self, plane: Plane) -> tuple[int, int]:
         """Return how many frames have such a file, and how many files there are."""
         pair = paired(self._color, plane.template)
-        return (pair.matched if pair else 0, len(plane.template.members))
+        return (pair.matched if pair else 0, plane.count)
 
     def take(self, plane: Plane) -> bool:
         """Settle how a pattern's files are called; False = it does not go with the others."""
         template = plane.template
+        if template is self._color:
+            self.others[template.pattern] = self.color
+            self.matched = len(template.members)
+            return True
         pair = paired(self._color, template)
         if pair is None or not pair.matched:
             return False
@@ -143,7 +146,6 @@ class _Form:
         if not self._agree(pair):
             return False
         self.others[template.pattern] = pair.other
-        self._folders[template.pattern] = template.folder
         self.matched = pair.matched
         return True
 

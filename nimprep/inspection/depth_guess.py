@@ -77,7 +77,7 @@ def _kind(plane: Plane) -> tuple[str, str]:
 
 def _conventions(found: Examination, plane: Plane) -> list[Convention]:
     root = found.survey.root
-    names = [root.resolve().name, plane.pattern]
+    names = [root.resolve().name, plane.name]
     names += [template.pattern for template in found.texts]
     names += [camera.template.pattern for camera in found.cameras]
     names += [p.template.members[0].path for p in found.planes]
@@ -115,7 +115,7 @@ def sorted_depth(planes: Sequence[Plane]) -> list[Plane]:
     order = ("sparse", "raw", "gt", "right", "pred", "est")
 
     def rank(plane: Plane) -> tuple[int, int]:
-        name = plane.pattern.lower()
+        name = plane.name.lower()
         later = sum(word in name for word in order)
         later -= any(word in name for word in ("bfx", "filled", "refined"))
         return later, -len(plane.template.members)

@@ -45,7 +45,12 @@ def describe(found: Examination, made: Arrangement) -> Described:
     if made.label is not None:
         labels = labels_of(found, made.label.plane)
         missing = _missing(made, made.label)
-        document["label"] = {"files": made.label.files, **labels.document, **missing}
+        document["label"] = {
+            "files": made.label.files,
+            **_array(made.label),
+            **labels.document,
+            **missing,
+        }
         document["classes"] = labels.classes
         result.notes += labels.notes
     _add_thermal(made, document)
@@ -60,7 +65,18 @@ def describe(found: Examination, made: Arrangement) -> Described:
     return result
 
 
+def _array(part: Part) -> dict[str, str]:
+    """Return what a description says of an array in a container."""
+    held = part.plane.held
+    if held is None or not held.key:
+        return {}
+    plain = held.axes in ("HW", "HWC")
+    return {"key": held.key} if plain else {"key": held.key, "axes": held.axes}
+
+
 def _color(made: Arrangement) -> Any:
+    if array := _array(made.color):
+        return {"files": made.color.files, **array}
     pixels = made.color.plane.samples[0].pixels
     if pixels.dtype.itemsize > 1:
         most = max(float(s.pixels.max()) for s in made.color.plane.samples)
@@ -71,12 +87,13 @@ def _color(made: Arrangement) -> Any:
 def _depth(made: Arrangement, result: Described) -> dict[str, Any]:
     assert made.depth is not None
     assert made.encoding is not None
-    depth: dict[str, Any] = {"files": made.depth.files, **made.encoding.document}
-    sample = made.depth.plane.samples[0]
+    depth: dict[str, Any] = {
+        "files": made.depth.files,
+        **_array(made.depth),
+        **made.encoding.document,
+    }
     if made.depth.plane.guess.channel:
         depth["channel"] = made.depth.plane.guess.channel
-    if sample.key:
-        depth["key"] = sample.key
     result.notes.append(f"depth's encoding is a guess: {made.encoding.name}; see the evidence")
     if "scale_px" in depth:
         numbers = {} if made.camera is None else made.camera.calibration.numbers

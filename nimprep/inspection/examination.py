@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from nimprep.errors import DecodeError
 from nimprep.files import read_start
 from nimprep.inspection.calibrations import ENDINGS, Calibration, calibration_in
+from nimprep.inspection.containers import CONTAINERS, Held, arrays_in, samples_of
 from nimprep.inspection.holdings import Holding, holding_at
 from nimprep.inspection.kinds import Kind
 from nimprep.inspection.planes import Guess, guessed
@@ -33,15 +34,28 @@ class Plane:
     samples : tuple of Sample
         Decoded, at least one.
     guess : Guess
+    held : Held, optional
+        Which array of containers.
     """
 
     template: Template
     samples: tuple[Sample, ...]
     guess: Guess
+    held: Held | None = None
 
     @property
     def pattern(self) -> str:
         return self.template.pattern
+
+    @property
+    def name(self) -> str:
+        """The pattern, with the key of an array after it."""
+        return f"{self.pattern}/{self.held.key}" if self.held and self.held.key else self.pattern
+
+    @property
+    def count(self) -> int:
+        """How many images there are."""
+        return self.held.frames if self.held and self.held.frames else len(self.template.members)
 
     @property
     def kind(self) -> Kind:
@@ -95,12 +109,14 @@ def examined(survey: Survey) -> Examination:
     templates.sort(key=lambda template: -len(template.members))
     images = 0
     for template in templates:
+        if template.ending in CONTAINERS and _add_arrays(found, template):
+            continue
         if template.ending in IMAGES and images < MOST_PATTERNS:
             images += 1
             _add_images(found, template)
         else:
             _add_other(found, template)
-    found.planes.sort(key=lambda plane: plane.pattern)
+    found.planes.sort(key=lambda plane: plane.name)
     return found
 
 
@@ -130,6 +146,27 @@ def _add_images(found: Examination, template: Template) -> None:
             found.problems.append(f"{template.pattern}: files of different types in one pattern")
     else:
         _add_other(found, template, problems)
+
+
+def _add_arrays(found: Examination, template: Template) -> bool:
+    """Add the arrays of containers as images; False = there are none, or it cannot be told."""
+    paths = _paths(found.survey.root, template)
+    try:
+        arrays = arrays_in(paths[0])
+    except DecodeError as error:
+        found.problems.append(" ".join(str(error).replace(f"{found.survey.root}/", "").split()))
+        return False
+    if len(paths) == 1 and any(held.frames for held in arrays):
+        name = template.members[0].name
+        template = replace(template, prefix=name, suffix="", fixed=True)
+    count = len(found.planes)
+    for held in arrays[:12]:
+        samples = samples_of(paths, held)
+        if samples:
+            name = f"{template.pattern.rpartition('.')[0]}/{held.key}.array"
+            guess = guessed(name if held.key else template.pattern, samples)
+            found.planes.append(Plane(template, tuple(samples), guess, held))
+    return len(found.planes) > count
 
 
 def _kind_of(samples: Iterable[Sample]) -> tuple[int, np.dtype[np.generic]]:

@@ -93,11 +93,12 @@ def _patterns(found: Examination) -> list[dict[str, Any]]:
     lines = [
         {
             "files": plane.pattern,
-            "count": len(plane.template.members),
+            "count": plane.count,
             "bytes": _bytes(root, plane.template),
             "kind": plane.kind,
             "evidence": list(plane.guess.evidence),
             "size": list(plane.samples[0].size),
+            **_array(plane),
             "channels": plane.samples[0].channels,
             "dtype": str(plane.samples[0].pixels.dtype),
             "range": _range(plane),
@@ -121,6 +122,12 @@ def _patterns(found: Examination) -> list[dict[str, Any]]:
         for template, kind in rest
     ]
     return lines
+
+
+def _array(plane: Plane) -> dict[str, str]:
+    if plane.held is None or not plane.held.key:
+        return {}
+    return {"key": plane.held.key, "axes": plane.held.axes}
 
 
 def _bytes(root: Path, template: Template) -> int:
@@ -151,7 +158,7 @@ def _depth(plane: Plane, encodings: Sequence[Encoding]) -> dict[str, Any]:
             {
                 "name": encoding.name,
                 "score": round(encoding.score, 2),
-                "depth": {"files": plane.pattern, **encoding.document},
+                "depth": {"files": plane.pattern, **_array(plane), **encoding.document},
                 "reasons": list(encoding.reasons),
             }
             for encoding in encodings[:3]
@@ -322,6 +329,6 @@ def _describe(made: Inspection, found: Examination) -> None:
 def _summary(found: Examination) -> str:
     counts: dict[str, int] = {}
     for plane in found.planes:
-        counts[plane.kind] = counts.get(plane.kind, 0) + len(plane.template.members)
+        counts[plane.kind] = counts.get(plane.kind, 0) + plane.count
     kinds = ", ".join(f"{count} {kind}" for kind, count in counts.items())
     return f"images told by pattern and values as {kinds}"

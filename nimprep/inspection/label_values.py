@@ -52,7 +52,7 @@ def labels_of(found: Examination, plane: Plane) -> Labels:
             made.document.setdefault("map", ids)
         made.document["default"] = _IGNORED
         made.notes.append(
-            f"{len(images)} of {len(plane.template.members)} labels were looked at: values in "
+            f"{len(images)} of {plane.count} labels were looked at: values in "
             "others alone are ignored (default 255)"
         )
     if plane.guess.channel:
@@ -62,9 +62,12 @@ def labels_of(found: Examination, plane: Plane) -> Labels:
 
 def _images(found: Examination, plane: Plane) -> tuple[list[npt.NDArray[Any]], bool]:
     """Return label images, and whether they are all that there are."""
+    if plane.held is not None and plane.held.key:
+        images = [sample.pixels for sample in plane.samples]
+        return images, len(images) == plane.count
     members = plane.template.members
     step = -(-len(members) // _MOST_FILES)
-    images: list[npt.NDArray[Any]] = []
+    images = []
     pixels = 0
     for member in members[::step]:
         if pixels > 60_000_000:

@@ -53,6 +53,8 @@ def guessed(pattern: str, samples: list[Sample]) -> Guess:
             return Guess(Kind.NORMALS, named)
         return Guess(Kind.COLOUR, (*named, "16-bit RGB"))
     if first.pixels.dtype.kind == "f" and first.channels == 3:
+        if all(_equal_channels(sample.pixels) for sample in samples):
+            return Guess(Kind.DEPTH, (*named, f"three equal channels of {first.pixels.dtype}"), "R")
         lengths = np.linalg.norm(first.pixels.reshape(-1, 3)[::97].astype(np.float64), axis=1)
         if abs(float(np.nanmedian(lengths)) - 1) < 0.02:
             return Guess(Kind.NORMALS, (*named, "vectors of length 1"))

@@ -21,7 +21,7 @@ _MOST_PIXELS = 40_000_000
 
 IMAGES = frozenset(
     f".{ending}"
-    for names in ("png jpg jpeg jpe bmp tif tiff webp", "pgm ppm pnm pfm npy npz")
+    for names in ("png jpg jpeg jpe bmp tif tiff webp", "pgm ppm pnm pfm npy")
     for ending in names.split(" ")
 )
 """Endings of files that may be images. What they are is told by their first bytes."""
@@ -86,8 +86,6 @@ def decoded(path: Path) -> Sample:
     DecodeError
         It is no image, or a damaged one.
     """
-    if path.suffix.lower() == ".npz":
-        return _from_archive(path)
     if path.suffix.lower() == ".npy":
         return _laid_out(Sample(path, read_array(path), "array"))
     header = read_header(path)
@@ -115,19 +113,6 @@ def decoded(path: Path) -> Sample:
     if pixels.ndim == 3 and pixels.shape[2] >= 3:
         pixels = pixels[..., [2, 1, 0, *range(3, pixels.shape[2])]]
     return Sample(path, pixels, header.kind)
-
-
-def _from_archive(path: Path) -> Sample:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            for key in archive.files:
-                array = archive[key]
-                if array.ndim in (2, 3) and array.dtype.kind in "uif":
-                    return _laid_out(Sample(path, array, "array", key=key))
-    except Exception as error:
-        # A zip file fails in as many ways as its library has.
-        raise DecodeError(f"{path}: expected arrays, found {error}") from error
-    raise DecodeError(f"{path}: expected an array of an image, found none")
 
 
 def _laid_out(sample: Sample) -> Sample:

@@ -65,3 +65,30 @@ COUNTS = {
 @pytest.mark.parametrize("name", COUNTS)
 def test_splits_are_counted_by_folder(layout: Callable[[str], Path], name: str) -> None:
     assert inspect_source(layout(name)).to_dict()["splits"] == COUNTS[name]
+
+
+def test_a_matlab_file_of_many_frames_is_told_array_by_array(layout: Callable[[str], Path]) -> None:
+    pytest.importorskip("h5py")
+    found = inspect_source(layout("nyuv2_mat")).to_dict()
+    assert not schema_problems(found, "inspection")
+    rows = {row["key"]: row for row in found["patterns"]}
+    assert {key: row["kind"] for key, row in rows.items()} == {
+        "images": "colour",
+        "depths": "depth",
+        "rawDepths": "depth",
+        "labels": "label",
+        "instances": "instances",
+    }
+    assert {row["count"] for row in rows.values()} == {4}
+    best = found["depth"][0]["encodings"][0]["depth"]
+    assert best == {
+        "files": "nyu_depth_v2_labeled.mat",
+        "key": "depths",
+        "axes": "NWH",
+        "scale_m": 1.0,
+    }
+    assert found["description"]["rgb"] == {
+        "files": "nyu_depth_v2_labeled.mat",
+        "key": "images",
+        "axes": "NCWH",
+    }
