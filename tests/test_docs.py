@@ -1,14 +1,19 @@
 """What pages say of the project is there: the files they link to, and the house as it is."""
 
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from click.testing import CliRunner
 
 import nimprep
+from nimprep.cli import main
+from nimprep.torch import StoreDataset, StoreLoader
 from tests.fakes import write_gmrp
+from tests.kitti.scenes import write_whole_benchmark
 from tests.test_layers import LAYERS
 
 ROOT = Path(__file__).parent.parent
@@ -58,3 +63,46 @@ def test_the_readmes_training_loop_runs(tmp_path: Path, monkeypatch: pytest.Monk
     exec(code, found)
     assert found["batch"]["inputs"][1].shape == (2, 3, 64, 64)
     assert all(p.isfinite().all() for p in found["network"].parameters())
+
+
+def test_the_readmes_way_from_kittis_folder_to_the_zip_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "README.md").read_text()
+    page = page[page.index("## KITTI road") : page.index("## Measured")]
+    blocks = re.findall(r"```(sh|python)\n(.*?)```", page, re.S)
+    assert [kind for kind, _ in blocks] == ["sh", "python", "sh"]
+    write_whole_benchmark(tmp_path / "data_road", parts=("image_2", "calib", "depth_u16"))
+    monkeypatch.chdir(tmp_path)
+
+    class Network:
+        """Say "road" to the extent that a pixel is red, and see that only padding is cut off."""
+
+        def __call__(self, inputs: torch.Tensor) -> torch.Tensor:
+            return torch.stack([1 - inputs[:, 0], 1 + inputs[:, 0]], dim=1)
+
+    printed = []
+    for kind, code in blocks:
+        if kind == "python":
+            exec(
+                code,
+                {"StoreDataset": StoreDataset, "StoreLoader": StoreLoader, "network": Network()},
+            )
+            continue
+        for line in code.splitlines():
+            command, *arguments = shlex.split(line, comments=True)
+            if command == "nimprep":
+                done = CliRunner().invoke(main, arguments)
+                assert (done.exit_code, done.stderr) == (0, ""), line
+                printed.append(done.stdout)
+    assert len(printed) == 3
+    assert re.search(r"train 253, val 36, test 290", printed[0])
+    # All tables of the frames held out, and the whole test set.
+    rows = [line.split() for line in printed[1].splitlines()[1:]]
+    assert {row[0]: int(row[-1]) for row in rows} == {
+        "um_road": 12,
+        "umm_road": 12,
+        "uu_road": 12,
+        "urban": 36,
+    }
+    assert "submission.zip: 290 predictions, 290 of them transformed" in printed[2]

@@ -161,10 +161,16 @@ def evaluate(
 
 def _score_table(evaluation: Evaluation) -> str:
     measures = ("MaxF", "AP", "PRE", "REC", "FPR", "FNR")
-    lines = [f"{'in %':10}" + "".join(f"{name:>8}" for name in measures) + f"{'threshold':>11}"]
+    lines = [
+        f"{'in %':10}"
+        + "".join(f"{name:>8}" for name in measures)
+        + f"{'threshold':>11}{'frames':>8}"
+    ]
     for table, score in evaluation.scores.items():
         values = "".join(f"{getattr(score, name):8.2f}" for name in measures)
-        lines.append(f"{table:10}{values}{score.best_threshold_percent:11.2f}")
+        lines.append(
+            f"{table:10}{values}{score.best_threshold_percent:11.2f}{evaluation.frames[table]:8}"
+        )
     return "\n".join(lines)
 
 

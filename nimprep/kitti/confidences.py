@@ -79,10 +79,10 @@ def _is_mask(path: Path) -> bool:
 
 
 def confidence_files(folder: Path, half: Half | None) -> list[Path]:
-    """Return the files that may be a folder's predictions, and warn of the half left out.
+    """Return the files that may be a folder's predictions.
 
     They lie in the folder itself or, named by frame id (``testing/um_000000``), in its subfolders
-    training and testing.
+    training and testing: a folder may hold predictions of both halves, each for its own step.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def confidence_files(folder: Path, half: Half | None) -> list[Path]:
     Raises
     ------
     LayoutError
-        There is no folder, or both subfolders are there and either counts.
+        There is no folder, it holds the other half alone, or both where either counts.
     """
     if not folder.is_dir():
         raise LayoutError(
@@ -108,16 +108,10 @@ def confidence_files(folder: Path, half: Half | None) -> list[Path]:
     own = plain_files(folder)
     taken = own + [p for h, files in halves.items() if half in (None, h) for p in files]
     for other, files in halves.items():
-        if half not in (None, other):
-            if not taken:
-                raise LayoutError(
-                    f"{folder}: expected predictions of {half} frames, found {len(files)} of "
-                    f"{other} frames only; predict the {half} frames"
-                )
-            warnings.warn(
-                f"{folder}: expected predictions of {half} frames, found {len(files)} of {other} "
-                "frames too, which are left out",
-                stacklevel=3,
+        if not taken:
+            raise LayoutError(
+                f"{folder}: expected predictions of {half} frames, found {len(files)} of "
+                f"{other} frames only; predict the {half} frames"
             )
     return taken
 

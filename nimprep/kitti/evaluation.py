@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -65,9 +66,12 @@ class Evaluation:
     ----------
     scores : dict of str to RoadScore
         By table, in the order of `TABLES`; those there are predictions for.
+    frames : dict of str to int
+        How many were scored, by table.
     """
 
     scores: dict[str, RoadScore]
+    frames: dict[str, int]
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the scores as `nimprep kitti evaluate --json` prints them."""
@@ -76,6 +80,7 @@ class Evaluation:
                 "unit": "percent",
                 **asdict(score),
                 "best_threshold_percent": score.best_threshold_percent,
+                "frames": self.frames[table],
             }
             for table, score in self.scores.items()
         }
@@ -156,7 +161,13 @@ def evaluate_predictions(
     counted = dict(zip(wanted, map_frames("evaluate", pairs.count, wanted, progress), strict=True))
     flat = [name for name, counts in counted.items() if counts[:, 1].any() and _is_flat(counts)]
     guesses.warn_of_masks(flat, predictions)
-    return Evaluation(_score_tables(counted, ground_truth))
+    scores = _score_tables(counted, ground_truth)
+    frames = Counter(table for name in counted for table in _tables_of(name))
+    return Evaluation(scores, {table: frames[table] for table in scores})
+
+
+def _tables_of(name: PredictionName) -> tuple[str, ...]:
+    return (name.table, "urban") if name.target == "road" else (name.table,)
 
 
 def _is_flat(counts: Counts) -> bool:
@@ -168,7 +179,7 @@ def _score_tables(
 ) -> dict[str, RoadScore]:
     tables: dict[str, Counts] = {}
     for name, counts in counted.items():
-        for table in (name.table, *(["urban"] if name.target == "road" else [])):
+        for table in _tables_of(name):
             tables[table] = tables.get(table, np.zeros((2, LEVELS), np.int64)) + counts
     scores = {}
     for table in TABLES:

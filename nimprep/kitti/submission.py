@@ -200,10 +200,11 @@ def _hint(
 def _reason_against(path: Path, name: PredictionName, calib: Path | None) -> str:
     """Return why a prediction cannot be packed, from headers alone; empty = nothing speaks so."""
     try:
-        if path.suffix.lower() == ".npy" and (reason := reason_against_array(path)):
+        is_array = path.suffix.lower() == ".npy"
+        if is_array and (reason := reason_against_array(path)):
             return reason
         header = read_header(path)
-        if header.kind not in ("grey", "array") or header.bits not in (1, 8, 16, 32, 64):
+        if not is_array and (header.kind != "grey" or header.bits not in (1, 8, 16)):
             return f"expected 8-bit or 16-bit grey, found {header.bits}-bit {header.kind}"
         if is_bev((header.height, header.width)):
             return ""

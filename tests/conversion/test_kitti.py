@@ -17,9 +17,9 @@ from tests.kitti.scenes import (
     MATRICES,
     ground_truth,
     noise,
-    road_folder,
     write_calibration,
     write_png,
+    write_whole_benchmark,
 )
 
 SIZES = {721.5377: (1242, 375), 718.856: (1241, 376), 707.0912: (1226, 370), 707.0493: (1224, 370)}
@@ -145,31 +145,11 @@ def test_options_that_replace_the_benchmarks_calibration_are_refused(
         nimprep.convert(root, tmp_path / "a.zarr", camera=(1, 1, 1, 1))
 
 
-def _whole_benchmark(root: Path) -> Path:
-    """Write all 289 training and 290 testing frames, every one of the same few bytes."""
-    (one,) = [road_folder(root.parent / "one")]
-    parts = {"image_2": "um_000000.png", "calib": "um_000000.txt", "gt_image_2": None}
-    numbers = {"training": (95, 96, 98), "testing": (96, 94, 100)}
-    for split, counts in numbers.items():
-        for category, count in zip(("um", "umm", "uu"), counts, strict=True):
-            for number in range(count):
-                for part, source in parts.items():
-                    if source is None and split == "testing":
-                        continue
-                    kind = "_road" if source is None else ""
-                    data = (one / "training" / part / (source or "um_road_000000.png")).read_bytes()
-                    ending = ".txt" if part == "calib" else ".png"
-                    path = root / split / part / f"{category}{kind}_{number:06d}{ending}"
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    path.write_bytes(data)
-    return root
-
-
 @pytest.mark.parametrize("halves", [("training", "testing"), ("training",)])
 def test_the_whole_benchmark_is_253_to_train_and_36_to_validate(
     tmp_path: Path, halves: tuple[str, ...]
 ) -> None:
-    root = _whole_benchmark(tmp_path / "data_road")
+    root = write_whole_benchmark(tmp_path / "data_road")
     if "testing" not in halves:
         shutil.rmtree(root / "testing")
     made = nimprep.convert(root, tmp_path / "s.zarr", modalities=["label"], shard_length=512)

@@ -98,3 +98,24 @@ def road_folder(
                 path = folder / "gt_image_2" / f"{category}_{target}_{number}.png"
                 write_png(path, ground_truth(road))
     return root
+
+
+def write_whole_benchmark(root: Path, parts: tuple[str, ...] = ("image_2", "calib")) -> Path:
+    """Write all 289 training and 290 testing frames, every one of the same few bytes.
+
+    `parts` name the folders; the truth of roads, to train, comes with them.
+    """
+    one = road_folder(root.parent / "one") / "training"
+    numbers = {"training": (95, 96, 98), "testing": (96, 94, 100)}
+    for split, counts in numbers.items():
+        kinds = [(part, "") for part in parts]
+        kinds += [("gt_image_2", "_road")] if split == "training" else []
+        for part, kind in kinds:
+            (source,) = (one / part).glob(f"um{kind}_000000.*")
+            data = source.read_bytes()
+            (root / split / part).mkdir(parents=True)
+            for category, count in zip(("um", "umm", "uu"), counts, strict=True):
+                for number in range(count):
+                    name = f"{category}{kind}_{number:06d}{source.suffix}"
+                    (root / split / part / name).write_bytes(data)
+    return root

@@ -53,9 +53,21 @@ def test_scores_are_a_table_for_people(road: Path) -> None:
     )
     assert result.exit_code == 0
     header, first, second = result.stdout.splitlines()
-    assert header.split() == ["in", "%", "MaxF", "AP", "PRE", "REC", "FPR", "FNR", "threshold"]
+    assert header.split() == [
+        "in",
+        "%",
+        "MaxF",
+        "AP",
+        "PRE",
+        "REC",
+        "FPR",
+        "FNR",
+        "threshold",
+        "frames",
+    ]
     assert (first.split()[0], second.split()[0]) == ("um_road", "urban")
-    assert len(first.split()) == 8
+    assert len(first.split()) == 9
+    assert first.split()[-1] == "1"
 
 
 def test_scores_and_threshold_are_of_one_unit_that_is_said(road: Path) -> None:
@@ -66,9 +78,9 @@ def test_scores_and_threshold_are_of_one_unit_that_is_said(road: Path) -> None:
     assert row["unit"] == "percent"
     assert row["best_threshold_percent"] == 100 * row["best_threshold"]
     shown = [f"{row[n]:.2f}" for n in ("MaxF", "AP", "PRE", "REC", "FPR", "FNR")]
-    assert table[1:] == [*shown, f"{row['best_threshold_percent']:.2f}"]
+    assert table[1:-1] == [*shown, f"{row['best_threshold_percent']:.2f}"]
     assert schema_problems(scores, "kitti-scores") == []
-    for name in ("unit", "best_threshold_percent"):
+    for name in ("unit", "best_threshold_percent", "frames"):
         del row[name]
     # What format 1.0 said of a table.
     assert schema_problems({"um_road": row}, "kitti-scores") == []

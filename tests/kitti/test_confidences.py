@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from nimprep.errors import DecodeError, LayoutError
 from nimprep.kitti import evaluate_predictions, pack_submission, transform_folder
 from nimprep.kitti.bev import BEV_SHAPE
 from nimprep.kitti.images import read_confidence
-from nimprep.kitti.names import official_names
 
 from .scenes import HEIGHT, WIDTH, ground_truth, noise, read_png, write_png
 
@@ -60,16 +60,13 @@ def test_every_name_and_number_is_packed_as_the_same_bytes(
     tmp_path: Path, naming: str, form: str
 ) -> None:
     suffix, image = _form(form)
-    for name in official_names("lane"):
-        path = NAMES[naming].format(c=name.category, n=name.number) + suffix
+    for number in ("000000", "000095"):
+        path = NAMES[naming].format(c="um", n=number) + suffix
         _write(tmp_path / "pred" / path, image)
-    if naming in ("category", "both"):
-        packed = pack_submission(tmp_path / "pred", tmp_path / "o.zip", partial=True)
-        expected = "um_road_000095.png"
-    else:
-        packed = pack_submission(tmp_path / "pred", tmp_path / "o.zip", target="lane")
-        expected = "um_lane_000095.png"
-    assert (len(packed.names), packed.names[-1]) == (96, expected)
+    target = "road" if naming in ("category", "both") else "lane"
+    packed = pack_submission(tmp_path / "pred", tmp_path / "o.zip", target=target, partial=True)
+    expected = f"um_{target}_000095.png"
+    assert packed.names == (f"um_{target}_000000.png", expected)
     with zipfile.ZipFile(packed.path) as archive:
         found = cv2.imdecode(np.frombuffer(archive.read(expected), np.uint8), -1)
     assert found.dtype == np.uint8
@@ -218,13 +215,14 @@ def test_of_a_whole_stores_predictions_each_step_takes_its_own(tmp_path: Path) -
     truths = _truths(tmp_path, ("um_road_000000",))
     _write(tmp_path / "pred" / "training" / "um_000000.png", noise(0, HEIGHT, WIDTH))
     _write(tmp_path / "pred" / "testing" / "um_000000.png", VIEW)
-    with pytest.warns(UserWarning, match="found 1 of training frames too, which are left out"):
-        packed = pack_submission(tmp_path / "pred", tmp_path / "o.zip", partial=True)
+    packed = pack_submission(tmp_path / "pred", tmp_path / "o.zip", partial=True)
     with zipfile.ZipFile(packed.path) as archive:
         found = cv2.imdecode(np.frombuffer(archive.read("um_road_000000.png"), np.uint8), -1)
     np.testing.assert_array_equal(found, VIEW)
-    with pytest.warns(UserWarning, match="found 1 of testing frames too, which are left out"):
-        evaluate_predictions(tmp_path / "pred", truths, view="perspective")
+    found = evaluate_predictions(tmp_path / "pred", truths, view="perspective")
+    shutil.rmtree(tmp_path / "pred" / "testing")
+    assert evaluate_predictions(tmp_path / "pred", truths, view="perspective") == found
+    _write(tmp_path / "pred" / "testing" / "um_000000.png", VIEW)
     with pytest.raises(LayoutError, match="training or of testing frames, found both"):
         transform_folder(tmp_path / "pred", tmp_path / "bev", None)
 
@@ -242,6 +240,8 @@ def test_a_part_of_the_truths_is_scored_where_that_is_asked_for(tmp_path: Path) 
         evaluate_predictions(tmp_path / "pred", truths, view="perspective")
     found = evaluate_predictions(tmp_path / "pred", truths, view="perspective", partial=True)
     assert list(found.scores) == ["um_road", "urban"]
+    assert found.frames == {"um_road": 1, "urban": 1}
+    assert [row["frames"] for row in found.to_dict().values()] == [1, 1]
 
 
 def test_a_part_that_has_no_truth_is_refused(tmp_path: Path) -> None:
