@@ -69,10 +69,7 @@ class Unit:
     def _from_distance(self, distance_m: npt.NDArray[Any]) -> npt.NDArray[Any]:
         height, width = distance_m.shape
         self._refuse_nominal("distance along the ray", "intrinsics")
-        camera = self.camera.camera(height, width, self.path.stem)
-        x = (np.arange(width) - camera.cx) / camera.fx
-        y = (np.arange(height) - camera.cy) / camera.fy
-        z: npt.NDArray[Any] = distance_m / np.sqrt(1 + x * x + (y * y)[:, None])
+        z: npt.NDArray[Any] = distance_m / self.camera.ray_lengths(height, width, self.path.stem)
         return z
 
     def _from_disparity(self, disparity_px: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -1,0 +1,41 @@
+"""The page of depth's encodings: every example is one, and means what it says."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nimprep.readers.description import DepthSource
+from nimprep.readers.description_file import description_from_document
+
+PAGE = Path(__file__).parents[2] / "docs" / "depth-encodings.md"
+EXAMPLES = [
+    line
+    for block in re.findall(r"```json\n(.*?)```", PAGE.read_text("utf-8"), re.S)
+    for line in block.splitlines()
+]
+
+
+def described(line: str) -> DepthSource:
+    document = {"format": "nimprep-folder", "version": "1.1", "name": "a", "rgb": "{id}.png"}
+    depth = description_from_document({**document, "depth": json.loads(line)}, "a").depth
+    assert depth is not None
+    return depth
+
+
+def test_there_are_examples() -> None:
+    assert len(EXAMPLES) == 15
+
+
+@pytest.mark.parametrize("line", EXAMPLES)
+def test_an_example_of_the_page_is_a_description_of_depth(line: str) -> None:
+    assert described(line).files
+
+
+def test_carla_s_highest_number_is_1000_m() -> None:
+    (carla,) = (described(line) for line in EXAMPLES if '"RGB"' in line)
+    assert np.float32(carla.scale * (2**24 - 1)) == 1000
