@@ -139,6 +139,7 @@ def _depth(document: Mapping[str, Any], where: str) -> DepthSource:
         )
     if scale not in document:
         raise LayoutError(f"{where}: expected {scale} in 'depth', found none; add it")
+    _check_depth(document, values, where)
     plain = ("values", "baseline_m", "fx", "range_m", "clip_m", "rotate_right", "bytes", "bytes_as")
     given = _plane(document, *plain)
     confidence = document.get("confidence")
@@ -153,6 +154,22 @@ def _depth(document: Mapping[str, Any], where: str) -> DepthSource:
         camera=None if camera is None else _camera(camera),
         depth_to_rgb=None if transform is None else _transform(transform, where),
     )
+
+
+def _check_depth(document: Mapping[str, Any], values: str, where: str) -> None:
+    """Raise `LayoutError` where what is said of depth would be passed over, or contradicts."""
+    packed: str = document.get("bytes", "")
+    stereo = [name for name in ("baseline_m", "fx") if name in document]
+    wrong = {
+        f"'values': 'disparity' beside {' and '.join(stereo)}": stereo
+        and "scale_px" not in document,
+        "'bytes' or 'channel'": packed and "channel" in document,
+        "four channels as float32": document.get("bytes_as") == "float32" and len(packed) != 4,
+        "each channel once in 'bytes'": len(set(packed)) != len(packed),
+    }
+    for expected in (expected for expected, is_wrong in wrong.items() if is_wrong):
+        found = {"values": values} | {n: document[n] for n in ("bytes", "channel") if n in document}
+        raise LayoutError(f"{where}: expected {expected} of depth, found {found}; mend the two")
 
 
 def _invalid(value: Any) -> Invalid:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nimprep.errors import LayoutError
 from nimprep.readers.description import DepthSource
 from nimprep.readers.description_file import description_from_document
 
@@ -39,3 +40,20 @@ def test_an_example_of_the_page_is_a_description_of_depth(line: str) -> None:
 def test_carla_s_highest_number_is_1000_m() -> None:
     (carla,) = (described(line) for line in EXAMPLES if '"RGB"' in line)
     assert np.float32(carla.scale * (2**24 - 1)) == 1000
+
+
+@pytest.mark.parametrize(
+    ("said", "wanted"),
+    [
+        ({"baseline_m": 0.5}, "'values': 'disparity' beside baseline_m"),
+        ({"fx": 500, "baseline_m": 0.5}, "'values': 'disparity' beside baseline_m and fx"),
+        ({"bytes": "RGB", "channel": "R"}, "'bytes' or 'channel'"),
+        ({"bytes": "RGB", "bytes_as": "float32"}, "four channels as float32"),
+        ({"bytes_as": "float32"}, "four channels as float32"),
+        ({"bytes": "RGR"}, "each channel once in 'bytes'"),
+    ],
+    ids=str,
+)
+def test_what_contradicts_itself_is_refused(said: dict[str, object], wanted: str) -> None:
+    with pytest.raises(LayoutError, match=f"^a: expected {wanted} of depth, found .*; mend"):
+        described(json.dumps({"files": "{id}.png", "scale_m": 0.001, **said}))
