@@ -16,11 +16,13 @@ from nimprep.images.array import read_array, read_array_header
 from nimprep.images.decode import read_bytes, read_depth, read_label, read_rgb
 from nimprep.images.header import ImageHeader
 from nimprep.images.layout import Layout, Raw
+from nimprep.images.orientation import OrientationRule, read_orientation
 from nimprep.images.plane import read_header, read_plane
 
 __all__ = [
     "ImageHeader",
     "Layout",
+    "OrientationRule",
     "Raw",
     "read_array",
     "read_array_header",
@@ -28,6 +30,7 @@ __all__ = [
     "read_depth",
     "read_header",
     "read_label",
+    "read_orientation",
     "read_plane",
     "read_rgb",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,14 @@ from nimprep.frame import MAX_PIXELS
 from nimprep.images import jpeg, pillow, png
 from nimprep.images.array import ArrayHeader, read_array, read_array_header
 from nimprep.images.header import MAX_BYTES, ImageHeader, broken, check_header
+from nimprep.images.orientation import (
+    OrientationRule,
+    checked_orientation,
+    orientation_of,
+    read_orientation,
+    turned,
+    upright_tiff,
+)
 from nimprep.images.signatures import NEEDED, unread_format
 
 _FORMATS: dict[bytes, Callable[[bytes, Path], ImageHeader]] = {
@@ -39,8 +48,8 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def image_header(path: Path) -> ImageHeader:
-    """Return an image file's size and kind; for PNG from its first bytes alone.
+def image_header(path: Path, orientation: OrientationRule = "apply") -> ImageHeader:
+    """Return an image file's size, as it is turned, and kind; a PNG is not read for it.
 
     Raises
     ------
@@ -48,7 +57,9 @@ def image_header(path: Path) -> ImageHeader:
         It is no image, is cut short, or claims more than `MAX_PIXELS` pixels.
     """
     start = read_start(path, png.HEADER_BYTES)
-    return _header(start if start.startswith(png.SIGNATURE) else read_bytes(path), path)
+    header = _header(start if start.startswith(png.SIGNATURE) else read_bytes(path), path)
+    by = checked_orientation(read_orientation(path), orientation, path)
+    return header if by < 5 else replace(header, height=header.width, width=header.height)
 
 
 def _check_shape(header: ArrayHeader, path: Path) -> ArrayHeader:
@@ -81,8 +92,15 @@ def no_image(path: Path, data: bytes) -> DecodeError:
     return DecodeError(f"{expected} {known[0]}, which is not read here; {known[1]}")
 
 
-def read_image(path: Path, *, color: bool = False) -> npt.NDArray[Any]:
+def read_image(
+    path: Path, *, color: bool = False, orientation: OrientationRule = "apply"
+) -> npt.NDArray[Any]:
     """Decode an image file as OpenCV does, channels B, G, R, A, or with `color` R, G, B.
+
+    Parameters
+    ----------
+    orientation : {"apply", "ignore", "refuse"}
+        What becomes of an EXIF orientation other than 1.
 
     Raises
     ------
@@ -94,8 +112,10 @@ def read_image(path: Path, *, color: bool = False) -> npt.NDArray[Any]:
         return read_array(path)
     data = read_bytes(path)
     header = _header(data, path)
-    if color and header.bits != 8:
+    if color and header.bits > 8:
         raise DecodeError(f"{path}: expected an 8-bit colour image, found {header}")
+    by = checked_orientation(orientation_of(data), orientation, path)
+    data = upright_tiff(data)
     if data.startswith(png.SIGNATURE):
         data = png.checked_png(data, path)
     image = _decode(data, path, color=color)
@@ -105,7 +125,8 @@ def read_image(path: Path, *, color: bool = False) -> npt.NDArray[Any]:
         _check_jpeg_end(data, image, path, color=color)
     # OpenCV spreads the values of 1, 2 and 4 bits over 0-255.
     few = header.bits < 8 and image.ndim == 2 and image.dtype == np.uint8
-    return image // np.uint8(255 // ((1 << header.bits) - 1)) if few else image
+    image = image // np.uint8(255 // ((1 << header.bits) - 1)) if few else image
+    return turned(image, by)
 
 
 def _decode(data: bytes, path: Path, *, color: bool) -> npt.NDArray[Any]:
@@ -114,7 +135,7 @@ def _decode(data: bytes, path: Path, *, color: bool) -> npt.NDArray[Any]:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
     import cv2
 
-    # The camera belongs to the stored pixels, so an orientation tag must not turn them.
+    # All kinds of file are turned in one way, by `turned`.
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION if color else cv2.IMREAD_UNCHANGED
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -131,15 +152,20 @@ def _check_jpeg_end(data: bytes, image: npt.NDArray[Any], path: Path, *, color: 
         raise broken(path, "JPEG", "one whose pixels end before the image does; it was cut")
 
 
-def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
+def read_rgb(path: Path, orientation: OrientationRule = "apply") -> npt.NDArray[np.uint8]:
     """Return a colour image as (H, W, 3) uint8, channels R, G, B.
+
+    Parameters
+    ----------
+    orientation : {"apply", "ignore", "refuse"}
+        What becomes of an EXIF orientation other than 1.
 
     Raises
     ------
     DecodeError
         It is no 8-bit image, is truncated or damaged.
     """
-    return read_image(path, color=True)
+    return read_image(path, color=True, orientation=orientation)
 
 
 def read_depth(path: Path) -> npt.NDArray[Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from nimprep.images.orientation import OrientationRule
+
 
 @dataclass(frozen=True, kw_only=True)
 class Raw:
@@ -34,6 +36,8 @@ class Layout:
         The one that counts; None = all.
     byte_order : {"little", "big", "swapped"}, optional
         Of bare numbers, None = little; "swapped" turns around the bytes of what any file holds.
+    orientation : {"apply", "ignore", "refuse"}
+        What becomes of an image file's EXIF orientation other than 1.
     """
 
     key: str | None = None
@@ -41,6 +45,7 @@ class Layout:
     raw: Raw | None = None
     channel: str | int | None = None
     byte_order: Literal["little", "big", "swapped"] | None = None
+    orientation: OrientationRule = "apply"
 
 
 PLAIN = Layout()

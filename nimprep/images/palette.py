@@ -18,14 +18,27 @@ from nimprep.files import read_start
 from nimprep.images import png
 from nimprep.images.decode import image_header, read_bytes
 from nimprep.images.header import broken
+from nimprep.images.orientation import (
+    OrientationRule,
+    checked_orientation,
+    orientation_of,
+    turned,
+)
 
 _BMP = b"BM"
 _PALETTE = 3
 """PNG's colour type."""
 
 
-def read_palette_index(path: Path) -> npt.NDArray[np.uint8] | None:
+def read_palette_index(
+    path: Path, orientation: OrientationRule = "apply"
+) -> npt.NDArray[np.uint8] | None:
     """Return the indices of a PNG or BMP that has a palette, (H, W); None = it has none.
+
+    Parameters
+    ----------
+    orientation : {"apply", "ignore", "refuse"}
+        What becomes of an EXIF orientation other than 1.
 
     Raises
     ------
@@ -36,8 +49,9 @@ def read_palette_index(path: Path) -> npt.NDArray[np.uint8] | None:
     is_png = start.startswith(png.SIGNATURE) and start[25:26] == bytes([_PALETTE])
     if not is_png and not start.startswith(_BMP):
         return None
-    header = image_header(path)
+    header = image_header(path, "ignore")
     data = read_bytes(path)
+    by = checked_orientation(orientation_of(data), orientation, path)
     checked = png.checked_png(data, path) if is_png else data
     try:
         found = _decoded(checked, is_png)
@@ -48,7 +62,7 @@ def read_palette_index(path: Path) -> npt.NDArray[np.uint8] | None:
         raise broken(path, "palette image", f"one that cannot be read: {reason}") from error
     if found is not None and found.shape != (header.height, header.width):
         raise broken(path, "image", f"a header of {header} before pixels of {found.shape}")
-    return found
+    return None if found is None else turned(found, by)
 
 
 def _decoded(data: bytes, is_png: bool) -> npt.NDArray[np.uint8] | None:

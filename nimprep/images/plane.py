@@ -44,7 +44,7 @@ def read_header(path: Path, layout: Layout = PLAIN) -> ImageHeader:
     if kind in ("image", "exr"):
         _refuse_array_layout(path, layout, key=kind == "exr")
     if kind == "image":
-        return image_header(path)
+        return image_header(path, layout.orientation)
     if kind == "exr":
         return exr.exr_header(read_bytes(path), path, layout.key)
     return _array(kind, path, layout)[2]
@@ -77,7 +77,7 @@ def read_plane(path: Path, layout: Layout = PLAIN, index: int | None = None) -> 
         check_index(None, index, path)
         _refuse_array_layout(path, layout, key=kind == "exr")
     if kind == "image":
-        image = read_image(path)
+        image = read_image(path, orientation=layout.orientation)
         # OpenCV has them in the order B, G, R, A.
         if image.ndim == 3 and image.shape[2] >= 3:
             image = image[:, :, [2, 1, 0, 3][: image.shape[2]]]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from nimprep.frame import LabelClass
-from nimprep.images import Layout, Raw
+from nimprep.images import Layout, OrientationRule, Raw
 from nimprep.splits import SplitName
 
 Missing = Literal["error", "skip", "none"]
@@ -44,6 +44,8 @@ class PlaneSource:
         The one that counts; None = all.
     byte_order : {"little", "big", "swapped"}, optional
     missing : {"error", "skip", "none"}
+    orientation : {"apply", "ignore", "refuse"}
+        What to do with an EXIF orientation.
     """
 
     files: str
@@ -53,6 +55,7 @@ class PlaneSource:
     channel: str | int | None = None
     byte_order: Literal["little", "big", "swapped"] | None = None
     missing: Missing = "error"
+    orientation: OrientationRule = "apply"
 
     @property
     def layout(self) -> Layout:
@@ -63,6 +66,7 @@ class PlaneSource:
             raw=self.raw,
             channel=self.channel,
             byte_order=self.byte_order,
+            orientation=self.orientation,
         )
 
 
@@ -242,8 +246,6 @@ class Description:
         None = files of equal placeholders belong together.
     size : {"rgb", "depth"} or (width, height), optional
         To which registered images of different size are brought.
-    orientation : {"apply", "ignore", "refuse"}
-        What to do with an EXIF orientation.
     """
 
     name: str
@@ -259,7 +261,6 @@ class Description:
     no_split: bool = False
     match: Match | None = None
     size: Size | None = None
-    orientation: Literal["apply", "ignore", "refuse"] = "apply"
 
     def sources(self) -> Iterator[tuple[str, PlaneSource]]:
         """Yield every kind of image that a frame has, by name: planes under their own."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from nimprep.errors import LayoutError
 from nimprep.frame import LabelClass
-from nimprep.images import Raw
+from nimprep.images import OrientationRule, Raw
 from nimprep.readers.description import (
     CameraSource,
     ColorSource,
@@ -58,10 +59,11 @@ def description_from_document(document: Any, where: str) -> Description:
     _refuse_units_per_metre(document, where)
     check_json(document, "folder", where, LayoutError)
     rgb = document["rgb"] if isinstance(document["rgb"], dict) else {"files": document["rgb"]}
+    _check_range(rgb.get("range"), where)
     classes = _classes(document, where)
     depth, label = document.get("depth"), document.get("label")
     planes = document.get("planes", {})
-    return Description(
+    described = Description(
         name=document["name"],
         rgb=ColorSource(**_plane(rgb, "range", "channels")),
         depth=None if depth is None else _depth(depth, where),
@@ -75,7 +77,29 @@ def description_from_document(document: Any, where: str) -> Description:
         no_split=document.get("split") is False,
         match=_match(document.get("match")),
         size=_frozen(document.get("size")),
-        orientation=document.get("orientation", "apply"),
+    )
+    return _oriented(described, document.get("orientation", "apply"))
+
+
+def _check_range(ends: Any, where: str) -> None:
+    if ends is not None and not ends[0] < ends[1]:
+        raise LayoutError(
+            f"{where}: expected a range from less to more in 'rgb', found {ends}; turn it around"
+        )
+
+
+def _oriented(description: Description, rule: OrientationRule) -> Description:
+    """Return the description with what becomes of EXIF orientations, of whatever kind of image."""
+    depth, label = description.depth, description.label
+    if depth is not None and depth.confidence is not None:
+        depth = replace(depth, confidence=replace(depth.confidence, orientation=rule))
+    planes = description.planes.items()
+    return replace(
+        description,
+        rgb=replace(description.rgb, orientation=rule),
+        depth=None if depth is None else replace(depth, orientation=rule),
+        label=None if label is None else replace(label, orientation=rule),
+        planes={name: replace(source, orientation=rule) for name, source in planes},
     )
 
 

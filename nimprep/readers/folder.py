@@ -16,7 +16,7 @@ from nimprep.frame import Frame
 from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.readers.cameras import GivenCamera
-from nimprep.readers.color_values import color_image
+from nimprep.readers.color_values import color_image, color_notes
 from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
 from nimprep.readers.description import CONFIDENCE, Description, DistortionRule, Size
 from nimprep.readers.description_file import description_from_file
@@ -116,6 +116,7 @@ class FolderReader(ReaderBase):
                 *self._matched.notes,
                 *self._splits.notes,
                 *self._label_notes(),
+                *color_notes(description.rgb),
             ),
         )
 

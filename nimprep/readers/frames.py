@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
+from nimprep.images import read_orientation
 
 
 def match_frames(files: Mapping[str, Mapping[str, Path]], root: Path) -> tuple[str, ...]:
@@ -46,5 +47,16 @@ def check_same_shape(images: Mapping[Path, npt.NDArray[Any]]) -> None:
             (h, w), (h0, w0) = image.shape[:2], images[first].shape[:2]
             raise DecodeError(
                 f"{path}: expected {w0}x{h0} pixels like {first.name} in {first.parent.name}/, "
-                f"found {w}x{h}"
+                f"found {w}x{h}{_turned_of(images)}"
             )
+
+
+def _turned_of(paths: Iterable[Path]) -> str:
+    """Return what orientations there are among files, for a message."""
+    for path in paths:
+        if (found := read_orientation(path)) != 1:
+            return (
+                f" (EXIF orientation {found} in {path.parent.name}/{path.name}; if the others "
+                'were not made of the turned picture, say "orientation": "ignore")'
+            )
+    return ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +53,8 @@ def label_image(
 def _raw(place: Place, source: LabelSource) -> npt.NDArray[Any]:
     """Return what the file holds: (H, W), or (H, W, C) R, G, B, A."""
     layout = source.layout
-    if source.colors is None and layout == PLAIN:
-        index = read_palette_index(place.path)
+    if source.colors is None and replace(layout, orientation="apply") == PLAIN:
+        index = read_palette_index(place.path, layout.orientation)
         if index is not None:
             return index
     return read_plane(place.path, layout, place.index)

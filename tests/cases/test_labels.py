@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -60,3 +62,77 @@ def test_colours_are_classes_by_the_map_and_a_map_to_paste_is_shown(case: Case) 
     expected = r'3 colours.*"map": {"#000000": 0, "#804080": 1, "#fa3253": 2}'
     with pytest.raises(DecodeError, match=expected):
         described(root, ".", "nomap.json").read("0")
+
+
+@pytest.mark.parametrize("name", ["o3", "o6"])
+def test_images_are_turned_as_viewers_show_them(case: Case, name: str) -> None:
+    root = case("20-")
+    reader = open_reader(root / name, ReaderOptions(description=root / "d.json"))
+    for frame_id in ("0", "3"):
+        frame = reader.read(frame_id)
+        shown = cv2.imread(str(root / f"shown_{frame_id}.png"))[..., ::-1].astype(int)
+        assert reader.shape(frame_id) == (96, 128)
+        assert np.abs(frame["rgb"].astype(int) - shown).mean() < 3
+        label = cv2.imread(str(root / name / "label" / f"{frame_id}.png"), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(frame["label"], label)
+
+
+@pytest.mark.parametrize("rule", ["ignore", "refuse"])
+def test_an_orientation_can_be_ignored_or_refused(case: Case, rule: str) -> None:
+    root = case("20-")
+    document = {**json.loads((root / "d.json").read_text()), "orientation": rule, "version": "1.1"}
+    (root / "other.json").write_text(json.dumps(document))
+    options = ReaderOptions(description=root / "other.json")
+    found = r"found EXIF orientation 6" if rule == "refuse" else r"128x96.*EXIF orientation 6 in"
+    with pytest.raises(DecodeError, match=found):
+        open_reader(root / "o6", options).read("0")
+    if rule == "ignore":
+        shown = cv2.imread(str(root / "shown_0.png"))[::-1, ::-1, ::-1].astype(int)
+        rgb = open_reader(root / "o3", options).read("0")["rgb"]
+        assert np.abs(rgb.astype(int) - shown).mean() < 3
+
+
+@pytest.mark.parametrize(
+    ("name", "ends"), [("rgb16", [0, 65535]), ("grey16", [0, 51000]), ("grey8", None)]
+)
+def test_16_bit_colour_is_scaled_by_its_range(case: Case, name: str, ends: list[int]) -> None:
+    root = case("21-")
+    options = ReaderOptions(description=root / f"{name}.json")
+    if ends is not None:
+        with pytest.raises(DecodeError, match=r"8-bit colour.*\"range\": \[0, 65535\]"):
+            open_reader(root, options).read("0")
+        document = json.loads((root / f"{name}.json").read_text())
+        source = {"files": document["rgb"], "range": ends}
+        document |= {"rgb": source, "version": "1.1"}
+        (root / f"{name}.json").write_text(json.dumps(document))
+    found = open_reader(root, options).read("0")["rgb"]
+    image = cv2.imread(str(root / name / "0.png"), cv2.IMREAD_UNCHANGED)
+    expected = image // image.dtype.type({"rgb16": 257, "grey16": 200, "grey8": 1}[name])
+    expected = expected[..., ::-1] if image.ndim == 3 else np.dstack([expected] * 3)
+    assert np.array_equal(found, expected)
+
+
+def test_alpha_leaves_colour_as_it_is(case: Case) -> None:
+    root = case("22-")
+    reader = open_reader(root, ReaderOptions(description=root / "d.json"))
+    for frame_id in reader.ids:
+        assert np.array_equal(reader.read(frame_id)["rgb"], np.load(root / f"rgb_{frame_id}.npy"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "most"),
+    [("cmyk", 3), ("prog", 3), ("webp", 0), ("bmp", 0), ("pal", 3), ("wrongext", 0)],
+)
+def test_odd_kinds_of_images_have_the_right_colours(case: Case, kind: str, most: int) -> None:
+    root = case("43-")
+    reader = open_reader(root / kind, ReaderOptions(description=root / kind / "d.json"))
+    difference = np.abs(reader.read("0")["rgb"].astype(int) - np.load(root / "rgb.npy"))
+    assert difference.mean() <= most
+
+
+@pytest.mark.parametrize(("kind", "name"), [("gif", "GIF"), ("heic", "HEI")])
+def test_kinds_that_are_not_read_are_named(case: Case, kind: str, name: str) -> None:
+    root = case("43-")
+    reader = open_reader(root / kind, ReaderOptions(description=root / kind / "d.json"))
+    with pytest.raises(DecodeError, match=name):
+        reader.read("0")

@@ -157,7 +157,7 @@ COLOR8 = np.full((*SIZE, 3), 9, np.uint8)
         ("depth_u16", GREY16 // 1000, "median depth of 0.05 to 100 m, found 0.002 m"),
         ("depth_u16", np.full((24, 33), 2000, np.uint16), "expected 32x24 pixels"),
         ("rgb", np.full((25, 32, 3), 9, np.uint8), "found 32x24"),
-        ("rgb", np.full((*SIZE, 3), 9, np.uint16), "8-bit colour image, found 32x24 16-bit RGB"),
+        ("rgb", np.full((*SIZE, 3), 9, np.uint16), "8-bit colour image, found 32x24 uint16"),
         ("label", GREY8, r"expected labels \[0, 1, 2, 255\], found 9"),
         ("label", COLOR8 * np.array([0, 1, 2], np.uint8), "found a colour image"),
     ],
