@@ -11,16 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
-from nimprep.errors import DecodeError, LayoutError, NimprepError
+from nimprep.errors import ArrayError, DecodeError, LayoutError, NimprepError
 from nimprep.frame import Frame
-from nimprep.modality import MODALITIES
+from nimprep.modality import MODALITIES, Modality
 from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.color_values import color_image, color_notes
 from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
 from nimprep.readers.description import CONFIDENCE, Description, DistortionRule, Size
 from nimprep.readers.description_file import description_from_file
-from nimprep.readers.extra_values import extra_image
+from nimprep.readers.extra_values import extra_image, extra_record
 from nimprep.readers.frame_cameras import FrameCameras
 from nimprep.readers.label_map import map_from_text, with_map
 from nimprep.readers.label_probe import label_notes
@@ -110,6 +110,7 @@ class FolderReader(ReaderBase):
             classes=description.classes if "label" in self._matched.places else (),
             calibration=self._cameras.origin,
             has_depth="depth" in self._matched.places,
+            planes=self._planes(),
             notes=(
                 *nominal,
                 *self._distortion_notes(),
@@ -119,6 +120,12 @@ class FolderReader(ReaderBase):
                 *color_notes(description.rgb),
             ),
         )
+
+    def _planes(self) -> tuple[Modality, ...]:
+        try:
+            return tuple(extra_record(n, source) for n, source in self._description.planes.items())
+        except ArrayError as error:
+            raise LayoutError(f"{self.root}: {error}") from error
 
     def _label_notes(self) -> tuple[str, ...]:
         labels = self._matched.places.get("label", {})
@@ -226,7 +233,7 @@ class FolderReader(ReaderBase):
             images["label"] = label_image(places["label"], described.label, described.classes)
         for name, source in described.planes.items():
             if name in places:
-                images[name] = extra_image(places[name], source)
+                images[name] = extra_image(places[name], name, source)
         return images
 
 

@@ -159,5 +159,5 @@ def _brought(
         # From the image as large as it is: the nearest pixel of the nearest would be further away.
         return nearest_through(image, where, fill)
     if plane is not None and plane.resize == "linear":
-        return resized_linear(image, *shape, plane.fill)
+        return resized_linear(image, *shape, None)
     return resized_nearest(image, *shape)
