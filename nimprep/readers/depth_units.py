@@ -79,6 +79,12 @@ class Unit:
                 f"{self.path}: expected the stereo baseline of disparity, found none; give it as "
                 "'baseline_m' in the description's depth, or in the camera file"
             )
+        if self.camera.distortion is not None:
+            raise CameraError(
+                f"{self.path}: expected disparity of rectified images, found a camera with "
+                f'{self.camera.distortion}; say "distortion": "rectified" of it, or give '
+                "--distortion rectified"
+            )
         fx = self.source.fx
         if fx is None:
             self._refuse_nominal("disparity", "fx")

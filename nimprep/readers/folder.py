@@ -18,6 +18,7 @@ from nimprep.readers.base import DatasetInfo, ReaderBase
 from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.color_values import color_image, color_notes
 from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
+from nimprep.readers.depth_warp import check_depth_camera
 from nimprep.readers.description import CONFIDENCE, Description, DistortionRule, Size
 from nimprep.readers.description_file import description_from_file
 from nimprep.readers.extra_values import extra_image, extra_record
@@ -29,6 +30,7 @@ from nimprep.readers.matching import Place, group_of, matched_frames
 from nimprep.readers.missing import judged
 from nimprep.readers.official_splits import official_splits
 from nimprep.readers.registration import (
+    Cameras,
     Registered,
     camera_of_sizes,
     registered,
@@ -104,6 +106,7 @@ class FolderReader(ReaderBase):
         self._cameras = FrameCameras(
             self.root, description.camera, self._matched, camera, distortion
         )
+        self._depth_cameras = self._cameras_of_depth(distortion)
         nominal = (_NOMINAL_NOTE,) if self._cameras.origin == "nominal" else ()
         self.info = DatasetInfo(
             name=description.name,
@@ -132,8 +135,17 @@ class FolderReader(ReaderBase):
         stored = {i: labels[i] for i in self.ids if i in labels}
         return label_notes(self.root, stored, self._description)
 
+    def _cameras_of_depth(self, distortion: DistortionRule | None) -> FrameCameras | None:
+        depth = self._description.depth
+        check_depth_camera(depth, self.root)
+        if depth is None or depth.camera is None or "depth" not in self._matched.places:
+            return None
+        return FrameCameras(self.root, depth.camera, self._matched, distortion=distortion)
+
     def _distortion_notes(self) -> Iterator[str]:
-        """Yield what is said of distortion that is taken out."""
+        """Yield what is said of depth that is warped, and of distortion that is taken out."""
+        if self._depth_cameras is not None:
+            yield "depth was taken by another camera: it is warped into colour by depth_to_rgb"
         camera = self._cameras.distorted()
         if camera is None or camera.distortion is None or not self.ids:
             return
@@ -165,7 +177,8 @@ class FolderReader(ReaderBase):
             It lacks one.
         """
         images = (place.path for place in self._places(frame_id).values())
-        return tuple(dict.fromkeys((*images, *self._cameras.sources(frame_id))))
+        of_depth = self._depth_cameras.sources(frame_id) if self._depth_cameras else ()
+        return tuple(dict.fromkeys((*images, *self._cameras.sources(frame_id), *of_depth)))
 
     def shape(self, frame_id: str) -> tuple[int, int]:
         """Return (height, width) of the frame's images, from headers."""
@@ -181,12 +194,14 @@ class FolderReader(ReaderBase):
         places = self._places(frame_id)
         camera = camera_of_sizes(self._cameras.of(frame_id), places, self._description)
         wanted = {*modalities, CONFIDENCE}
-        images = self._images({n: p for n, p in places.items() if n in wanted}, camera)
+        of_depth = None if self._depth_cameras is None else self._depth_cameras.of(frame_id)
+        images = self._images({n: p for n, p in places.items() if n in wanted}, of_depth or camera)
         absent = {n for n in self._matched.places if n in modalities and n not in places}
         if not images:
             made = Registered({}, camera.camera(*self.shape(frame_id), frame_id))
         else:
-            made = registered(frame_id, images, places, camera, self._description)
+            cameras = Cameras(camera, of_depth)
+            made = registered(frame_id, images, places, cameras, self._description)
         images = {**made.images, **self._none(absent, made.camera.shape)}
         return replace(self._frame(frame_id, made.camera, images), absent=frozenset(absent))
 

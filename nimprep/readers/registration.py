@@ -14,7 +14,8 @@ from nimprep.errors import CameraError, DecodeError
 from nimprep.images import read_header
 from nimprep.modality import MODALITIES
 from nimprep.readers.cameras import GivenCamera, same_shape
-from nimprep.readers.description import Description
+from nimprep.readers.depth_warp import warped_depth
+from nimprep.readers.description import DepthSource, Description
 from nimprep.readers.frames import check_same_shape
 from nimprep.readers.matching import Place
 from nimprep.readers.resizing import resized_colors, resized_linear, resized_nearest
@@ -43,19 +44,30 @@ class Registered:
     camera: Camera
 
 
+@dataclass(frozen=True)
+class Cameras:
+    """Hold a frame's cameras.
+
+    Attributes
+    ----------
+    camera : GivenCamera
+        Of all its images, as `camera_of_sizes` returns it.
+    depth : GivenCamera, optional
+        Of depth, where it is another; depth is then warped.
+    """
+
+    camera: GivenCamera
+    depth: GivenCamera | None = None
+
+
 def registered(
     frame_id: str,
     images: Mapping[str, Image],
     places: Mapping[str, Place],
-    camera: GivenCamera,
+    cameras: Cameras,
     description: Description,
 ) -> Registered:
     """Bring a frame's images to one size and one camera, and take distortion out.
-
-    Parameters
-    ----------
-    camera : GivenCamera
-        As `camera_of_sizes` returns it.
 
     Raises
     ------
@@ -64,20 +76,34 @@ def registered(
     CameraError
         The camera is of another size.
     """
-    if description.size is None:
-        _check_one_size(images, places)
-        height, width = next(iter(images.values())).shape[:2]
+    apart = {"depth"} & {*images} if cameras.depth is not None else set()
+    together = {name: image for name, image in images.items() if name not in apart}
+    if description.size is None and together:
+        _check_one_size(together, places)
+        height, width = next(iter(together.values())).shape[:2]
     else:
         height, width = registered_shape(places, description)
-        for name, image in images.items():
+        for name, image in together.items():
             _check_aspect(image.shape[:2], (height, width), places[name])
-    made = camera.camera(height, width, frame_id)
-    where = None if camera.distortion is None else pixel_map(made, camera.distortion)
-    found = {
-        name: _brought(name, image, (height, width), where, description)
-        for name, image in images.items()
-    }
-    return Registered(found, made)
+    camera, lens = cameras.camera.camera(height, width, frame_id), cameras.camera.distortion
+    where = pixel_map(camera, lens) if lens is not None and together else None
+    shape = camera.shape
+    found = {n: _brought(n, image, shape, where, description) for n, image in together.items()}
+    if cameras.depth is not None and description.depth is not None:
+        for name in apart:
+            found[name] = _warped(images[name], cameras.depth, description.depth, camera, frame_id)
+    return Registered(found, camera)
+
+
+def _warped(
+    depth_m: Image, given: GivenCamera, source: DepthSource, camera: Camera, frame_id: str
+) -> Image:
+    """Return depth of a camera of its own as colour's sees it, without either's distortion."""
+    height, width = depth_m.shape
+    own = given.camera(height, width, frame_id)
+    if given.distortion is not None:
+        depth_m = nearest_through(depth_m, pixel_map(own, given.distortion), 0)
+    return warped_depth(depth_m, own, source.depth_to_rgb or (), camera)
 
 
 def registered_shape(places: Mapping[str, Place], description: Description) -> tuple[int, int]:
@@ -85,7 +111,9 @@ def registered_shape(places: Mapping[str, Place], description: Description) -> t
     if isinstance(description.size, tuple):
         return description.size[1], description.size[0]
     if description.size is None:
-        return _size("depth" if "depth" in places else "rgb", places, description)
+        warped = description.depth is not None and description.depth.camera is not None
+        name = "depth" if "depth" in places and not warped else "rgb"
+        return _size(name, places, description)
     if description.size not in places:
         raise DecodeError(
             f"{places['rgb'].path}: expected {description.size} beside it, to have its size, found "
@@ -108,7 +136,9 @@ def camera_of_sizes(
         return camera
     if camera.size is not None:
         return replace(camera, scales=True)
-    sizes = {name: _size(name, places, description) for name in ("rgb", "depth") if name in places}
+    warped = description.depth is not None and description.depth.camera is not None
+    names = ("rgb",) if warped else ("rgb", "depth")
+    sizes = {name: _size(name, places, description) for name in names if name in places}
     if len(set(sizes.values())) > 1:
         said = ", ".join(f"{name} of {w}x{h}" for name, (h, w) in sizes.items())
         raise CameraError(

@@ -330,3 +330,27 @@ def test_opencvs_own_projection_agrees_with_the_equations() -> None:
     found, _ = cv2.projectPoints(points, zero, zero, np.eye(3), np.array(BROWN))
     dx, dy = distorted(points[:, 0], points[:, 1], "plumb_bob", BROWN)
     assert np.allclose(found[:, 0], np.stack([dx, dy], axis=-1))
+
+
+def test_distance_along_the_ray_is_that_of_the_rays_the_lens_bends(tmp_path: Path) -> None:
+    _, depth, _ = frame = through("plumb_bob", BROWN)
+    v, u = np.mgrid[:96, :128].astype(float)
+    x, y = rays(Camera(**CAM, width=128, height=96), Distortion("brown", tuple(BROWN)))
+    far = depth * np.sqrt(1 + x * x + y * y)
+    ray = {"files": "depth/{id}.png", "scale_m": 0.001, "values": "distance"}
+    write(tmp_path, (frame[0], far, frame[2]), camera={**CAM, "distortion": BROWN}, depth=ray)
+    found = opened(tmp_path).read("0").depth_m
+    write(tmp_path, frame, camera={**CAM, "distortion": BROWN})
+    expected = opened(tmp_path).read("0").depth_m
+    assert found is not None
+    assert expected is not None
+    # Whole millimetres of distance; with the rays of a pinhole, a corner is 5 % off.
+    assert np.abs(found - expected).max() < 2e-3
+
+
+def test_disparity_of_distorted_images_is_refused(tmp_path: Path) -> None:
+    depth = {"files": "depth/{id}.png", "scale_px": 0.01, "values": "disparity", "baseline_m": 0.1}
+    write(tmp_path, pinhole(96, 128), camera={**CAM, "distortion": BROWN}, depth=depth)
+    with pytest.raises(CameraError, match="disparity of rectified images"):
+        opened(tmp_path).read("0")
+    assert opened(tmp_path, distortion="rectified").read("0").depth_m is not None
