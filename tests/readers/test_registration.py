@@ -334,7 +334,6 @@ def test_opencvs_own_projection_agrees_with_the_equations() -> None:
 
 def test_distance_along_the_ray_is_that_of_the_rays_the_lens_bends(tmp_path: Path) -> None:
     _, depth, _ = frame = through("plumb_bob", BROWN)
-    v, u = np.mgrid[:96, :128].astype(float)
     x, y = rays(Camera(**CAM, width=128, height=96), Distortion("brown", tuple(BROWN)))
     far = depth * np.sqrt(1 + x * x + y * y)
     ray = {"files": "depth/{id}.png", "scale_m": 0.001, "values": "distance"}
