@@ -16,6 +16,7 @@ from nimprep.options import options_of
 from nimprep.plane import definition_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import Margins
+from nimprep.splits import SPLIT_RULES
 from nimprep.store.reader import Store
 from nimprep.store.spec import check_changeable
 
@@ -37,6 +38,7 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
     check_changeable(about.format_version, str(store.path))
     recipe = recipe_from(about.modalities)
     margins = astuple(Margins(**about.crop))
+    rule = about.split["rule"]
     making = {
         **{name: getattr(recipe, name) for name in options_of(RecipeOptions)},
         "labels": "label" in store.modalities,
@@ -45,6 +47,8 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
         "normal_dtype": normal_dtype(store),
         "codec": about.codec,
         "shard_length": shard_length(store),
+        # Where the split was not the authors', it stays so.
+        "split_by": None if about.fixed_splits or rule not in SPLIT_RULES else rule,
     }
     options = ConvertOptions(**reading, **making)
     held = (array.modality for array in store.arrays.values())

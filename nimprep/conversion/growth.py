@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.conversion.doubted import with_doubts_of_labels
-from nimprep.conversion.plan import Plan, described, fixed_splits
+from nimprep.conversion.plan import Plan, described, fixed_splits, of_no_split
 from nimprep.conversion.provenance import joined_attributes
 from nimprep.conversion.records import (
     FrameFacts,
@@ -96,7 +96,8 @@ def grown_splits(old: Store, reader: Reader, groups: Mapping[str, str]) -> list[
     everyone = dict(zip(old.ids, old.tables.group, strict=True)) | dict(groups)
     before = {i: n for n, ids in old.about.fixed_splits.items() for i in ids}
     fixed = {i: SPLITS[name] for i, name in (before | fixed_splits(reader, groups)).items()}
-    splits = extend_splits(everyone, old.splits, split["rule"], split.get("seed", 0), fixed)
+    known = {**old.splits, **of_no_split(reader, groups)}
+    splits = extend_splits(everyone, known, split["rule"], split.get("seed", 0), fixed)
     return [splits[i] for i in groups]
 
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nimprep import __version__
+from nimprep.conversion.given_splits import split_files
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import DEPTHS, Records, UnitRecord, seal, unseal
 from nimprep.conversion.sources import FileState, changed_files
@@ -39,7 +40,7 @@ def option_values(options: ConvertOptions) -> dict[str, Any]:
         if option.counts:
             value = getattr(options, name)
             is_file = Path in option.types and isinstance(value, (str, Path))
-            values[name] = _file_digest(Path(value)) if is_file else value
+            values[name] = _digest(name, Path(value)) if is_file else value
     return json.loads(json.dumps(values))  # type: ignore[no-any-return]
 
 
@@ -47,9 +48,13 @@ def _shown(value: Any) -> str:
     return str(value)[:19] if isinstance(value, str) else json.dumps(value)
 
 
-def _file_digest(path: Path) -> str:
+def _digest(name: str, path: Path) -> str:
+    files = split_files(path) if name == "split_file" else [path]
     try:
-        return f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+        digest = hashlib.sha256()
+        for file in files:
+            digest.update(file.read_bytes())
+        return f"sha256:{digest.hexdigest()}"
     except OSError as error:
         raise StoreError(
             f"{path}: expected a readable file, found {error.strerror}; name one that can be read"

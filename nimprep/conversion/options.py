@@ -61,7 +61,11 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
         "Split frames, whole scenes, frames within each scene (15 % each for val and test), or an "
         "eighth of each scene for val and none for test; default: frame, KITTI road: eighth.",
     )
-    split_file: Path | str | None = option(None, "Split by this JSON file.")
+    split_file: Path | str | None = option(
+        None,
+        "Split by this JSON file, or by lists: train.txt beside val.txt and test.txt, or their "
+        "folder.",
+    )
     seed: int = option(0, "Of the split.")
     shard_length: int = option(SHARD_LENGTH, "Frames per shard.", least=1, most=4096)
     scheduler: str | None = option(
@@ -88,7 +92,13 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
 
     def open_reader(self, source: Path) -> Reader:
         """Open the dataset; what is not to be stored need not be there."""
-        return open_reader(source, self, labels=self.labels, depth=self.needs_depth)
+        return open_reader(
+            source,
+            self,
+            labels=self.labels,
+            depth=self.needs_depth,
+            official=self.split_by is None and self.split_file is None,
+        )
 
     @property
     def needs_depth(self) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 
 from nimprep import __version__
 from nimprep.conversion.doubted import doubts_of
+from nimprep.conversion.given_splits import given_splits
 from nimprep.conversion.journal import Journal, option_values, units_of
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import Records, depth_percentiles, source_digest
@@ -21,7 +22,7 @@ from nimprep.plane import by_name, definition_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.schema import schema_problems
-from nimprep.splits import SplitName, SplitRule, assign_splits, splits_from_file
+from nimprep.splits import SPLITS, SplitName, SplitRule, assign_splits
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.spec import FORMAT_VERSION
 from nimprep.store.storage import Storage
@@ -237,8 +238,14 @@ def plan_layout(reader: Reader, options: ConvertOptions, *, alone: bool = True) 
 
 
 def fixed_splits(reader: Reader, ids: Iterable[str]) -> dict[str, SplitName]:
-    """Return the frames whose split the dataset's authors chose."""
-    return {i: split for i in ids if (split := reader.fixed_split(i)) is not None}
+    """Return the frames that the dataset's authors put into a split."""
+    chosen = {i: SPLITS.get(reader.fixed_split(i) or "") for i in ids}
+    return {i: split for i, split in chosen.items() if split is not None}
+
+
+def of_no_split(reader: Reader, ids: Iterable[str]) -> dict[str, str]:
+    """Return the frames that the dataset's authors put into none, with the name of that."""
+    return {i: "none" for i in ids if reader.fixed_split(i) == "none"}
 
 
 def fixed_by_split(reader: Reader, ids: Iterable[str]) -> dict[str, list[str]]:
@@ -258,11 +265,12 @@ def split_rule(reader: Reader, options: ConvertOptions) -> SplitRule:
 def plan_splits(reader: Reader, options: ConvertOptions, ids: Sequence[str]) -> list[str]:
     """Return the split of each of these frames of the reader's."""
     if options.split_file is not None:
-        splits = splits_from_file(options.split_file, reader.ids)
+        splits = given_splits(options.split_file, reader)
         return [splits[i] for i in ids]
-    groups = {i: reader.group(i) for i in ids}
+    none = of_no_split(reader, ids)
+    groups = {i: reader.group(i) for i in ids if i not in none}
     rule = split_rule(reader, options)
-    assigned = assign_splits(groups, rule, options.seed, fixed_splits(reader, ids))
+    assigned = none | assign_splits(groups, rule, options.seed, fixed_splits(reader, ids))
     return [assigned[i] for i in ids]
 
 

@@ -90,7 +90,7 @@ class Layout(NamedTuple):
         What is where, for people.
     open : str
         "module:function", called with the dataset's folder and, by their names, with the options
-        of `ReaderOptions` that it takes; with `labels` and `depth` too, whether those are read.
+        of `ReaderOptions` that it takes; with `labels`, `depth` and `official` of `open_reader`.
     marks : tuple of str
         Folders, any of which tells that a dataset has this layout.
     """
@@ -145,6 +145,7 @@ def open_reader(
     *,
     labels: bool = True,
     depth: bool = True,
+    official: bool = True,
 ) -> Reader:
     """Open a raw dataset.
 
@@ -156,6 +157,8 @@ def open_reader(
         Reader "auto" = "folder" with a description, else by the folder's layout.
     labels, depth : bool
         Whether they will be read; if not, they need not be there.
+    official : bool
+        Whether the split of the dataset's authors is to be kept, where readers can tell.
 
     Raises
     ------
@@ -180,7 +183,8 @@ def open_reader(
     _check_taken(name, given, parameters)
     if "camera" in given:
         given["camera"] = camera_from(given["camera"], options.distortion)
-    wanted = {n: read for n, read in (("labels", labels), ("depth", depth)) if n in parameters}
+    asked = (("labels", labels), ("depth", depth), ("official", official))
+    wanted = {name: value for name, value in asked if name in parameters}
     reader: Reader = make(root, **wanted, **given)
     return reader
 

@@ -12,6 +12,9 @@ from nimprep.images import read_header
 from nimprep.modality import MODALITIES, Modality
 from nimprep.splits import SplitName, SplitRule
 
+OfficialSplit = SplitName | Literal["none"]
+"""What the dataset's authors chose for a frame; "none": that it is in no split."""
+
 CalibrationOrigin = Literal["file", "nominal", "user"]
 
 
@@ -73,8 +76,11 @@ class Reader(Protocol):
         """Return the scene the frame belongs to; "" = none known."""
         ...
 
-    def fixed_split(self, frame_id: str) -> SplitName | None:
-        """Return the split the dataset's authors put the frame in; None = free to choose."""
+    def fixed_split(self, frame_id: str) -> OfficialSplit | None:
+        """Return the split the dataset's authors put the frame in; None = free to choose.
+
+        "none" is a split, too: the frame takes part in none.
+        """
         ...
 
     def sources(self, frame_id: str) -> tuple[Path, ...]:
@@ -110,7 +116,7 @@ class ReaderBase:
         """Return "": no scene is known."""
         return ""
 
-    def fixed_split(self, frame_id: str) -> SplitName | None:
+    def fixed_split(self, frame_id: str) -> OfficialSplit | None:
         """Return None: the frame may go into any split."""
         return None
 
@@ -135,7 +141,7 @@ class WrappedReader:
         """Return the scene the frame belongs to."""
         return self._reader.group(frame_id)
 
-    def fixed_split(self, frame_id: str) -> SplitName | None:
+    def fixed_split(self, frame_id: str) -> OfficialSplit | None:
         """Return the split the dataset's authors put the frame in."""
         return self._reader.fixed_split(frame_id)
 

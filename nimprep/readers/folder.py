@@ -14,7 +14,7 @@ from nimprep.camera import Camera
 from nimprep.errors import ArrayError, DecodeError, LayoutError, NimprepError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
-from nimprep.readers.base import DatasetInfo, ReaderBase
+from nimprep.readers.base import DatasetInfo, OfficialSplit, ReaderBase
 from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.color_values import color_image, color_notes
 from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
@@ -26,9 +26,9 @@ from nimprep.readers.frame_cameras import FrameCameras
 from nimprep.readers.label_map import map_from_text, with_map
 from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
-from nimprep.readers.matching import Place, group_of, matched_frames
+from nimprep.readers.matching import Place, formatted, group_of, matched_frames
 from nimprep.readers.missing import judged
-from nimprep.readers.official_splits import official_splits
+from nimprep.readers.official_splits import official_splits, without_labelled
 from nimprep.readers.registration import (
     Cameras,
     Registered,
@@ -37,7 +37,6 @@ from nimprep.readers.registration import (
     registered_shape,
 )
 from nimprep.readers.undistortion import without_border
-from nimprep.splits import SplitName
 
 _NOMINAL_NOTE = (
     "no calibration: assuming the nominal RealSense D415 colour camera (69.4 degrees wide); "
@@ -66,6 +65,8 @@ class FolderReader(ReaderBase):
         while without it implausible depth is refused.
     label_map : str, optional
         What raw labels mean, "0:0,255:1", in place of the description's map.
+    official : bool
+        Keep the split of the dataset's authors; if not, frames without labels keep theirs alone.
 
     Raises
     ------
@@ -85,6 +86,7 @@ class FolderReader(ReaderBase):
         label_map: str | None = None,
         distortion: DistortionRule | None = None,
         size: Size | None = None,
+        official: bool = True,
     ) -> None:
         self.root = Path(root)
         if not self.root.is_dir():
@@ -97,11 +99,10 @@ class FolderReader(ReaderBase):
         check_scale_option(depth_scale, description.depth)
         wanted = {name for name, _ in description.sources()} - (set() if labels else {"label"})
         matched = matched_frames(self.root, description, wanted)
-        self._splits = official_splits(self.root, description, matched)
-        matched = replace(
-            matched, ids=tuple(i for i in matched.ids if i not in self._splits.skipped)
-        )
-        self._matched = judged(self.root, description, matched, self._splits.of_frame)
+        splits = official_splits(self.root, description, matched, kept=official)
+        matched = replace(matched, ids=tuple(i for i in matched.ids if i not in splits.skipped))
+        self._matched = judged(self.root, description, matched, splits.of_frame)
+        self._splits = splits if official else without_labelled(splits, self._matched)
         self.ids = self._matched.ids
         self._cameras = FrameCameras(
             self.root, description.camera, self._matched, camera, distortion
@@ -162,9 +163,12 @@ class FolderReader(ReaderBase):
 
     def group(self, frame_id: str) -> str:
         """Return the scene by the description's template or pattern; "" = none."""
-        return group_of(frame_id, self._description.group)
+        pattern = self._description.group
+        if pattern is None or "{group}" in pattern:
+            return group_of(frame_id, pattern)
+        return formatted(pattern, self._matched.captured[frame_id])
 
-    def fixed_split(self, frame_id: str) -> SplitName | None:
+    def fixed_split(self, frame_id: str) -> OfficialSplit | None:
         """Return the split the dataset's authors put the frame in."""
         return self._splits.of_frame.get(frame_id)
 

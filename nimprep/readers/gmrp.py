@@ -48,6 +48,7 @@ def open_gmrp(
     label_map: str | None = None,
     distortion: DistortionRule | None = None,
     size: Size | None = None,
+    official: bool = True,
 ) -> FolderReader:
     """Open a folder in GMRP's layout.
 
@@ -66,4 +67,5 @@ def open_gmrp(
         label_map=label_map,
         distortion=distortion,
         size=size,
+        official=official,
     )

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from nimprep.errors import LayoutError
 from nimprep.frame import IGNORE_LABEL
+from nimprep.readers.base import OfficialSplit
 from nimprep.readers.description import CONFIDENCE, Description, PlaneSource
 from nimprep.readers.matching import Matched
-from nimprep.splits import SplitName
 
 
 def judged(
-    root: Path, description: Description, matched: Matched, splits: Mapping[str, SplitName]
+    root: Path, description: Description, matched: Matched, splits: Mapping[str, OfficialSplit]
 ) -> Matched:
     """Return the frames that there are, with those that are bad, and why.
 
@@ -64,7 +64,7 @@ def judged(
 def _unlabelled(
     description: Description,
     matched: Matched,
-    splits: Mapping[str, SplitName],
+    splits: Mapping[str, OfficialSplit],
     notes: list[str],
 ) -> Collection[str]:
     """Return the frames of the splits that have no labels at all, where others have."""
@@ -77,8 +77,8 @@ def _unlabelled(
         found.update(those)
         if labelled:
             notes.append(
-                f"none of the {len(those)} frames of {split} has labels: they are {IGNORE_LABEL} "
-                "throughout there"
+                f"none of the {len(those)} frames of split {split} has labels: there they are "
+                f"{IGNORE_LABEL} throughout"
             )
     return found if labelled else ()
 
