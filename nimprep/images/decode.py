@@ -73,7 +73,8 @@ def _check_shape(header: ArrayHeader, path: Path) -> ArrayHeader:
 
 def _header(data: bytes, path: Path) -> ImageHeader:
     for signature, parse in _FORMATS.items():
-        if data.startswith(signature):
+        # RIFF holds videos and sounds too.
+        if data.startswith(signature) and data[8:12] not in (b"AVI ", b"WAVE"):
             header = parse(data, path)
             check_header(header, path)
             return header

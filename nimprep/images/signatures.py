@@ -9,8 +9,8 @@ _ARRAYS = "read it as depth or labels by a description that names the array as '
 
 _STARTS: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"GIF8", "a GIF", _CONVERT),
-    (8, b"WEBP", "a WebP of a kind", _CONVERT),
     (8, b"AVI ", "a video (AVI)", _FRAMES),
+    (8, b"WAVE", "a sound", "mend the description's pattern"),
     (0, b"\x1a\x45\xdf\xa3", "a video (Matroska)", _FRAMES),
     (0, b"\0\0\1\xba", "a video (MPEG)", _FRAMES),
     (0, b"FLV\1", "a video (FLV)", _FRAMES),
