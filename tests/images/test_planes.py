@@ -270,3 +270,17 @@ def test_float_tiffs_stay_as_they_are(tmp_path: Path) -> None:
     data = cv2.imencode(".tif", MM.astype(np.float32))[1].tobytes()
     (tmp_path / "a.tif").write_bytes(data)
     check(tmp_path / "a.tif", Layout(), MM.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "name"), [("h5py", "hdf5", "a.h5"), ("OpenEXR", "exr", "a.exr")]
+)
+def test_a_file_without_its_extra_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, extra: str, name: str
+) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["depth"] = MM
+    exr(tmp_path / "a.exr", {"Z": MM.astype(np.float32)})
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(DecodeError, match=rf"found none; .* pip install 'nimprep\[{extra}\]'"):
+        read_plane(tmp_path / name)
