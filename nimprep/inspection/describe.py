@@ -37,7 +37,7 @@ def describe(found: Examination, made: Arrangement) -> Described:
     document: dict[str, Any] = {"format": "nimprep-folder", "version": "1.1", "name": name}
     result = Described(document, list(made.notes))
     placeholders = list(dict.fromkeys(_PLACEHOLDER.findall(made.color.files)))
-    if placeholders != ["id"]:
+    if placeholders not in ([], ["id"]):
         document["id"] = "/".join(f"{{{name}}}" for name in placeholders)
     document["rgb"] = _color(made)
     if made.depth is not None and made.encoding is not None:

@@ -28,6 +28,8 @@ from nimprep.readers.folder import FolderReader
 from nimprep.readers.nearby import nearby_dataset
 
 _MOST_LINES = 20
+_MOST_TRIED = 20_000
+"""A description of more files is not tried: pairing them all takes a reader seconds."""
 
 
 @dataclass
@@ -317,6 +319,8 @@ def _describe(made: Inspection, found: Examination) -> None:
     made.description = described.document
     made.notes += described.notes
     made.next_steps = [f"nimprep inspect {made.source} --write FILE.json"]
+    if len(found.survey.files) > _MOST_TRIED:
+        return
     try:
         description = description_from_document(described.document, "description")
         reader = FolderReader(found.survey.root, description)

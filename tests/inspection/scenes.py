@@ -129,7 +129,7 @@ def eth3d(root: Path) -> None:
 def middlebury(root: Path) -> None:
     for k, name in enumerate(("Adirondack-perfect", "Backpack-perfect", "Bicycle1-perfect")):
         color, depth = street(k, closer=5)
-        pixels = disparity(depth, 0.2).astype(np.float32)
+        pixels = disparity(depth, 0.2).astype(np.float32) - np.float32(1.5)
         pixels[depth == 0] = np.inf
         save(root / name / "im0.png", color)
         save(root / name / "im1.png", color)

@@ -1,0 +1,152 @@
+"""What inspect writes converts, to the depth, groups and splits that the layouts were made of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nimprep
+from nimprep.inspection.inspection import inspect_source
+from nimprep.readers.description_file import description_from_document
+from nimprep.readers.folder import FolderReader
+from tests.inspection import scenes
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Say what a layout's frames are.
+
+    Attributes
+    ----------
+    seed : callable
+        Frame id to the scene's seed; None = the frame has no depth.
+    groups : int
+        How many scenes there are, 0 = none are said.
+    frames : int
+    atol, rtol : float
+        Half a unit of depth and of the store's, or what a step of disparity is at 30 m.
+    split : mapping, optional
+        As the description has it.
+    """
+
+    seed: Callable[[str], int | None]
+    frames: int
+    groups: int = 0
+    atol: float = 0.002
+    rtol: float = 0.0
+    split: Any = None
+
+
+def _last(frame_id: str) -> int:
+    return int(frame_id.rpartition("/")[2])
+
+
+def _by_order(*parts: str) -> Callable[[str], int]:
+    """Return a function that numbers frames by the part of an id, two frames each."""
+
+    def seed(frame_id: str) -> int:
+        place = next(k for k, part in enumerate(parts) if part in frame_id)
+        return 2 * place + int(frame_id.replace("_000019", "")[-1])
+
+    return seed
+
+
+FOLDERS = {"of": "{split}"}
+TRUTHS: dict[str, Truth] = {
+    "orfd": Truth(lambda i: (_last(i) - 1623721491895) // 100, 8, 4, atol=0.005, split=FOLDERS),
+    "cityscapes": Truth(
+        _by_order("aachen", "bochum", "frankfurt", "berlin"), 8, 4, rtol=0.003, split=FOLDERS
+    ),
+    "kitti_semantics": Truth(
+        lambda i: _last(i) if "training" in i else None, 6, rtol=0.003, split=FOLDERS
+    ),
+    "vkitti2": Truth(_last, 24, 2, atol=0.011),
+    "r2d": Truth(_by_order("Town02", "Town03", "Town01", "Town06"), 8, 4, split=FOLDERS),
+    "nyuv2_nicr": Truth(_last, 4, split=FOLDERS),
+    "sunrgbd": Truth(
+        lambda i: next(k for k, n in enumerate(("kv1", "kv2", "realsense", "xtion")) if n in i), 4
+    ),
+    "scannet": Truth(_last, 4, 2),
+    "drno": Truth(
+        _last, 3, split={"lists": {"train": "train.txt", "test": "test.txt"}, "rest": "skip"}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_what_is_written_reads_as_the_layout_was_made(
+    layout: Callable[[str], Path], layout_maker: ModuleType, name: str
+) -> None:
+    truth, root = TRUTHS[name], layout(name)
+    found = inspect_source(root)
+    assert found.description is not None
+    assert found.description.get("split") == truth.split
+    reader = FolderReader(root, description_from_document(found.description, name))
+    assert len(reader.ids) == truth.frames
+    assert found.description.get("group") == ("{scene}" if truth.groups else None)
+    for frame_id in reader.ids:
+        seed, depth = truth.seed(frame_id), reader.read(frame_id).depth_m
+        if seed is None:
+            assert depth is None or not depth.any()
+            continue
+        expected = layout_maker.scene(seed)[1]
+        assert depth is not None
+        np.testing.assert_array_equal(depth > 0, expected > 0)
+        np.testing.assert_allclose(depth, expected, rtol=truth.rtol, atol=truth.atol)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", [*TRUTHS, "mfnet", "nyuv2_dformer", "rellis"])
+def test_convert_takes_what_is_written(
+    layout: Callable[[str], Path], tmp_path: Path, name: str
+) -> None:
+    found = inspect_source(layout(name))
+    file = tmp_path / "description.json"
+    file.write_text(json.dumps(found.description))
+    store = nimprep.convert(
+        layout(name), tmp_path / "out.zarr", description=file, modalities=("rgb",)
+    )
+    assert len(store) > 0
+
+
+KNOWN = [
+    scenes.kitti_completion,
+    scenes.diode,
+    scenes.tartanair,
+    scenes.tartanair_bytes,
+    scenes.replica,
+    scenes.icl_nuim,
+    scenes.eth3d,
+    scenes.middlebury,
+    scenes.scannetpp,
+    scenes.matterport,
+    scenes.seven_scenes,
+    scenes.carla_alpha,
+    scenes.swapped,
+    scenes.nameless,
+    scenes.centimetres,
+]
+
+
+@pytest.mark.parametrize("write", KNOWN)
+def test_what_is_written_of_other_kinds_reads_metres(
+    tmp_path: Path, write: Callable[[Path], None]
+) -> None:
+    write(tmp_path)
+    found = inspect_source(tmp_path)
+    assert found.description is not None
+    reader = FolderReader(tmp_path, description_from_document(found.description, "d"))
+    truths = [scenes.street(k, closer)[1] for k in range(4) for closer in (1, 3, 4, 5)]
+    assert len(reader.ids) >= 3
+    for frame_id in reader.ids:
+        depth = reader.read(frame_id).depth_m
+        assert depth is not None
+        errors = [np.abs(depth / np.maximum(t, 1e-3) - 1)[depth > 0].max() for t in truths]
+        assert min(errors) < 0.02
