@@ -119,6 +119,14 @@ PRINCIPAL_POINT = (0.0, 1.0)
 
 VIEW_DEG = (10.0, 150.0)
 
+
+def _percent(share: float) -> str:
+    """Return a share in percent that is 0 or 100 only where it is."""
+    if share in (0, 1):
+        return "all" if share else "none"
+    return "less than 1%" if share < 0.01 else f"{100 * share:.3g}%"
+
+
 _DESCRIBE = "under depth in the description"
 
 RULES: tuple[Rule, ...] = (
@@ -136,8 +144,8 @@ RULES: tuple[Rule, ...] = (
         "multiples_of_8",
         lambda x: x >= MULTIPLES_OF_8,
         lambda x: (
-            f"{x:.4g} of the raw depth values are multiples of 8, as where their bits are rotated "
-            f'by 3 (SUN RGB-D); if so, give "rotate_right": 3 {_DESCRIBE}'
+            f"{_percent(x)} of the raw depth values are multiples of 8, as where their bits are "
+            f'rotated by 3 (SUN RGB-D); if so, give "rotate_right": 3 {_DESCRIBE}'
         ),
     ),
     Rule(
@@ -175,8 +183,8 @@ RULES: tuple[Rule, ...] = (
         "with_neighbours",
         lambda x: x < WITH_NEIGHBOURS,
         lambda x: (
-            f"{x:.0%} of the pixels with depth have it beside them on each axis, as of LiDAR: "
-            "normals, HHA and the like need neighbours; convert with --fill linear"
+            f"{_percent(x)} of the pixels with depth have it beside them on each axis, few as of "
+            "LiDAR: normals, HHA and the like need neighbours; convert with --fill linear"
         ),
         share=0,
     ),

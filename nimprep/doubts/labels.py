@@ -42,7 +42,8 @@ def label_doubts(
     """
     counts = class_pixels.astype(np.int64)
     some = counts[:, :-1].sum(axis=1) > 0
-    asked = [n for n, i in enumerate(ids) if some[n] or i not in withheld]
+    # Frames without any label are another matter, unless there are no others.
+    asked = [n for n, i in enumerate(ids) if some[n] or not (some.any() or i in withheld)]
     total = counts[asked].sum(axis=0)
     if not classes or not total.sum():
         return []
@@ -55,8 +56,8 @@ def label_doubts(
     elif ignored >= IGNORED:
         share = "all" if ignored == 1 else f"{ignored:.1%}"
         text = (
-            f"{share} of the labels' pixels are 255, which means ignore; if it is a class, map it "
-            'under label in the description: "map": {"255": 1}'
+            f"{share} of the labels' pixels are 255, which means ignore; if it is a class, map it, "
+            '--label-map 0:0,255:1 or "map": {"0": 0, "255": 1} under label in the description'
         )
         found.append(Doubt.of("ignored", text, of))
     if missing and present and not found:
@@ -67,8 +68,8 @@ def label_doubts(
 def _masked(missing: Sequence[LabelClass]) -> str:
     return (
         f"the labels' values are 0 and 255 alone, and 255 means ignore: {_names(missing)} is "
-        'nowhere; if 255 is a class, map it under label in the description: "map": '
-        f'{{"0": 0, "255": {missing[0].id}}}'
+        f"nowhere; if 255 is a class, map it, --label-map 0:0,255:{missing[0].id} or "
+        f'"map": {{"0": 0, "255": {missing[0].id}}} under label in the description'
     )
 
 
@@ -76,8 +77,8 @@ def _missing(missing: Sequence[LabelClass]) -> str:
     text = f"no pixel of any label is {_names(missing)}"
     if any(c.id == 0 for c in missing):
         return (
-            f"{text}; if ids are counted from 1, map them under label in the description: "
-            '"map": {"1": 0, "2": 1}'
+            f"{text}; if ids are counted from 1, map them, --label-map 1:0,2:1 or "
+            '"map": {"1": 0, "2": 1} under label in the description'
         )
     return f"{text}; check that the labels' values are the ids of the classes"
 

@@ -64,7 +64,7 @@ def raw_signs(
     return signs
 
 
-def check_byte_order(signs: dict[str, float], where: object) -> None:
+def check_byte_order(signs: dict[str, float], where: object, *, swapped: bool = False) -> None:
     """Refuse depth whose bytes are swapped beyond doubt.
 
     Parameters
@@ -73,6 +73,8 @@ def check_byte_order(signs: dict[str, float], where: object) -> None:
         Of `raw_signs`.
     where : object
         The file, for the message.
+    swapped : bool
+        Whether its bytes have been swapped already, because a description says so.
 
     Raises
     ------
@@ -80,11 +82,13 @@ def check_byte_order(signs: dict[str, float], where: object) -> None:
         It is far smoother with its bytes swapped.
     """
     if signs.get("swapped_roughness", 1.0) < CERTAINLY_SWAPPED:
+        step = 'give "byte_order": "swapped" under depth in a description, or write the file anew'
+        if swapped:
+            step = 'leave "byte_order" out of the description'
         raise DecodeError(
             f"{where}: expected depth whose neighbouring values are alike, found it "
             f"{1 / signs['swapped_roughness']:.0f} times as smooth with the bytes of its values "
-            'swapped; give "byte_order": "swapped" under depth in a description, or write the '
-            "file anew"
+            f"swapped; {step}"
         )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.doubts.raw import check_byte_order, raw_signs
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.files import check_file, write_whole
 from nimprep.folders import refuse_inside
@@ -150,6 +151,7 @@ def _stored_depth(files: RoadFiles) -> npt.NDArray[Any]:
         raise DecodeError(f"{files.depth}: expected 16-bit millimetres, found {depth.dtype}")
     if not ((depth > 0) & (depth < SATURATED_MM)).any():
         raise DecodeError(f"{files.depth}: expected depth, found no pixel that has any")
+    check_byte_order(raw_signs(depth), files.depth)
     return depth
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.doubts.raw import check_byte_order, raw_signs
 from nimprep.errors import DecodeError, OptionError
 from nimprep.images import read_plane
 from nimprep.readers.cameras import GivenCamera
@@ -36,6 +38,24 @@ def raw_depth(place: Place, source: DepthSource) -> npt.NDArray[Any]:
     """
     layout = source.layout if source.bytes is None else replace(source.layout, channel=None)
     return unpacked_depth(read_plane(place.path, layout, place.index), source, place.path)
+
+
+def checked_raw_signs(
+    raw: npt.NDArray[Any], place: Place, source: DepthSource, root: Path
+) -> dict[str, float]:
+    """Return the signs of raw values (`nimprep.doubts.raw`): the certain ones are refused.
+
+    Raises
+    ------
+    DecodeError
+        The bytes are swapped: values are far smoother the other way.
+    """
+    below = place.path.relative_to(root) if place.path.is_relative_to(root) else place.path
+    # Of disparity that is described as such its name is no sign.
+    name = below.as_posix() if source.in_metres else ""
+    signs = raw_signs(raw, source.invalid, name)
+    check_byte_order(signs, place.path, swapped=source.byte_order == "swapped")
+    return signs
 
 
 def depth_image(

@@ -17,7 +17,12 @@ from nimprep.modality import MODALITIES, Modality
 from nimprep.readers.base import DatasetInfo, OfficialSplit, ReaderBase
 from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.color_values import color_image, color_notes
-from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
+from nimprep.readers.depth_values import (
+    check_scale_option,
+    checked_raw_signs,
+    depth_image,
+    raw_depth,
+)
 from nimprep.readers.depth_warp import check_depth_camera
 from nimprep.readers.description import CONFIDENCE, Description, DistortionRule, Size
 from nimprep.readers.description_file import description_from_file
@@ -199,7 +204,8 @@ class FolderReader(ReaderBase):
         camera = camera_of_sizes(self._cameras.of(frame_id), places, self._description)
         wanted = {*modalities, CONFIDENCE}
         of_depth = None if self._depth_cameras is None else self._depth_cameras.of(frame_id)
-        images = self._images({n: p for n, p in places.items() if n in wanted}, of_depth or camera)
+        chosen = {n: p for n, p in places.items() if n in wanted}
+        images, signs = self._images(chosen, of_depth or camera)
         absent = {n for n in self._matched.places if n in modalities and n not in places}
         if not images:
             made = Registered({}, camera.camera(*self.shape(frame_id), frame_id))
@@ -207,7 +213,9 @@ class FolderReader(ReaderBase):
             cameras = Cameras(camera, of_depth)
             made = registered(frame_id, images, places, cameras, self._description)
         images = {**made.images, **self._none(absent, made.camera.shape)}
-        return replace(self._frame(frame_id, made.camera, images), absent=frozenset(absent))
+        return replace(
+            self._frame(frame_id, made.camera, images), absent=frozenset(absent), signs=signs
+        )
 
     def _none(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, npt.NDArray[Any]]:
         """Return images of a frame that has none of these kinds."""
@@ -232,14 +240,18 @@ class FolderReader(ReaderBase):
             others={n: images[n] for n in self._description.planes if n in images},
         )
 
-    def _images(self, places: dict[str, Place], camera: GivenCamera) -> dict[str, npt.NDArray[Any]]:
-        """Decode what is wanted of a frame, each image as large as its file's."""
+    def _images(
+        self, places: dict[str, Place], camera: GivenCamera
+    ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, float]]:
+        """Decode what is wanted of a frame, each image as its file's size, and depth's signs."""
         described = self._description
         images: dict[str, npt.NDArray[Any]] = {}
+        signs: dict[str, float] = {}
         if "rgb" in places:
             images["rgb"] = color_image(places["rgb"], described.rgb)
         if "depth" in places and described.depth is not None:
             raw = raw_depth(places["depth"], described.depth)
+            signs = checked_raw_signs(raw, places["depth"], described.depth, self.root)
             images["depth"] = depth_image(
                 places["depth"],
                 described.depth,
@@ -253,7 +265,7 @@ class FolderReader(ReaderBase):
         for name, source in described.planes.items():
             if name in places:
                 images[name] = extra_image(places[name], name, source)
-        return images
+        return images, signs
 
 
 def _relabelled(description: Description, label_map: str | None) -> Description:

@@ -22,11 +22,11 @@ GOOD = {
 
 DOUBTFUL = {
     "byte-order": ({"swapped_roughness": 0.25}, '4.0 times .*"byte_order": "swapped"'),
-    "rotated-bits": ({"multiples_of_8": 1.0}, '^1 of .*SUN RGB-D.*"rotate_right": 3'),
+    "rotated-bits": ({"multiples_of_8": 1.0}, '^all of .*SUN RGB-D.*"rotate_right": 3'),
     "eight-bits": ({"largest_raw": 213.0}, "213 only, as those of an 8-bit image"),
     "disparity-name": ({"disparity_name": 1.0}, 'names.*"values": "disparity"'),
     "grows-downwards": ({"row_correlation": 0.91}, '0.91.*"values": "disparity"'),
-    "sparse": ({"with_neighbours": 0.02}, "^2% .*--fill linear"),
+    "sparse": ({"with_neighbours": 0.02}, "^2% .*few as of LiDAR.*--fill linear"),
     "camera-height": ({"camera_height_m": 13.2}, "13.2 m above .*--depth-scale"),
     "normalised-camera": ({"focal_px": 0.86, "view_deg": 179.0}, "0.86 pixels, as where .* share"),
     "principal-point": ({"cx_share": 7.5, "cy_share": 5.6}, "cx at 7.5 of its width"),
