@@ -52,9 +52,17 @@ def layout_scene(seed: int) -> tuple[Any, Any, Any]:
     return scene(seed)
 
 
+def case_scene(seed: int, height: int = 96, width: int = 128, **more: float) -> Any:
+    """Return what the cases render, its truth: rgb, depth in metres, label."""
+    return _module(folder("cases") / "scene.py").scene(seed, h=height, w=width, **more)
+
+
 def _layouts() -> Any:
-    script = folder("layouts") / "make_layouts.py"
-    spec = importlib.util.spec_from_file_location("make_layouts", script)
+    return _module(folder("layouts") / "make_layouts.py")
+
+
+def _module(script: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(script.stem, script)
     assert spec is not None
     assert spec.loader is not None
     module: Any = importlib.util.module_from_spec(spec)
