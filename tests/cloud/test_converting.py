@@ -29,6 +29,7 @@ from tests.cloud.server import BUCKET, Proxy, Request
 from tests.cloud.test_reading import run
 from tests.fakes import contents, write_gmrp
 from tests.processes import PATIENCE_S, Processes
+from tests.readers.test_extra_values import write_folder
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*nominal:UserWarning"),
@@ -54,6 +55,17 @@ def beside(url: str) -> set[str]:
     """Return the names at the store's place, its own among them."""
     parent = ObjectStorage(url.rpartition("/")[0])
     return {key.partition("/")[0] for key in parent.keys()}  # noqa: SIM118 - no dict
+
+
+def test_planes_of_a_dataset_are_written_and_read_by_url(url: str, tmp_path: Path) -> None:
+    description = write_folder(tmp_path / "raw")
+    options = {"description": description, "shard_length": 2}
+    here = nimprep.convert(tmp_path / "raw", tmp_path / "s.zarr", **options)
+    there = nimprep.convert(tmp_path / "raw", url, **options)
+    assert below(url) == contents(here.path)
+    assert there.planes == here.planes
+    assert (there[3]["alpha"] == here[3]["alpha"]).all()
+    assert validate_store(url, deep=True).valid
 
 
 def test_no_connection_outlives_what_it_was_for(url: str, raw: Path) -> None:

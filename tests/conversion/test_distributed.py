@@ -21,6 +21,7 @@ from nimprep.errors import ClusterError, DecodeError
 from tests.fakes import contents, write_gmrp
 from tests.held import RECORD, held
 from tests.processes import PATIENCE_S, Processes
+from tests.readers.test_extra_values import write_folder
 
 distributed = pytest.importorskip("distributed")
 
@@ -62,6 +63,24 @@ def local(source: Path) -> dict[str, bytes]:
     """Return the files of the store that a conversion without a cluster makes."""
     store = nimprep.convert(source, source.parent / "local.zarr", shard_length=LENGTH)
     return contents(store.path)
+
+
+def test_planes_of_a_dataset_are_encoded_by_workers_too(cluster: Cluster, tmp_path: Path) -> None:
+    description = write_folder(tmp_path / "raw")
+    made = [
+        contents(
+            nimprep.convert(
+                tmp_path / "raw",
+                tmp_path / f"{name}.zarr",
+                description=description,
+                shard_length=LENGTH,
+                scheduler=scheduler,
+            ).path
+        )
+        for name, scheduler in (("here", None), ("there", cluster.address))
+    ]
+    assert made[0] == made[1]
+    assert "thermal/c/1/0/0" in made[0]
 
 
 def test_the_bytes_are_those_of_a_conversion_without_a_cluster(
