@@ -93,10 +93,11 @@ def read_plane(path: Path, layout: Layout = PLAIN, index: int | None = None) -> 
 def _kind(path: Path, layout: Layout) -> _Kind:
     if layout.raw is not None:
         return "raw"
-    if path.suffix == ".npy":
+    ending = path.suffix.lower()
+    if ending == ".npy":
         return "npy"
     start = read_start(path, _START)
-    if path.suffix == ".npz" or (layout.key is not None and start.startswith(archive.SIGNATURE)):
+    if ending == ".npz" or (layout.key is not None and start.startswith(archive.SIGNATURE)):
         return "npz"
     if hdf5.is_hdf5(start):
         return "hdf5"

@@ -50,7 +50,9 @@ class ReaderOptions(Options):
         "Bring registered images of different size to one: rgb, depth or WxH; default: refuse.",
         metavar="rgb|depth|WxH",
     )
-    depth_scale: float | None = option(None, "Metres per raw depth unit.", least=1e-9, most=1000)
+    depth_scale: float | None = option(
+        None, "Metres per raw depth unit: 0.001 for millimetres, not 1000.", least=1e-9, most=1000
+    )
     label_map: str | None = option(
         None, "Raw label values, ranges or colours to class ids: 0:0,128-255:1,#ff0000:2."
     )
