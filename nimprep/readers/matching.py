@@ -11,6 +11,7 @@ from nimprep.errors import LayoutError
 from nimprep.readers.description import Description, PlaneSource
 from nimprep.readers.found import Found, by_placeholders, found_images, only
 from nimprep.readers.found import Place as Place
+from nimprep.readers.pairing import paired
 from nimprep.readers.patterns import capture, placeholders
 from nimprep.readers.tree import found_files
 
@@ -63,17 +64,26 @@ def matched_frames(root: Path, description: Description, wanted: Collection[str]
     captured = {i: found.values for i, found in colors.items()}
     known = next(iter(captured.values()))
     places = {"rgb": {i: found.place for i, found in colors.items()}}
-    for name, source in description.sources():
-        if source is description.rgb or name not in wanted:
+    others = {
+        name: _images(root, source, labels=source is description.label)
+        for name, source in description.sources()
+        if source is not description.rgb and name in wanted
+    }
+    pairing = paired(root, description, colors, others)
+    for name, images in others.items():
+        if name in pairing.places:
+            places[name] = pairing.places[name]
             continue
-        images = _images(root, source, labels=source is description.label)
         names = [n for n in images[0].values if n in known] if images else []
         places[name] = _joined(images, names, colors)
         if set(placeholders(template)) <= set(names):
             for frame_id, found in _alone(images, template, colors).items():
                 captured.setdefault(frame_id, found.values)
                 places[name][frame_id] = found.place
-    return Matched(tuple(sorted(captured)), places, captured=captured)
+    ids = tuple(sorted(captured.keys() - pairing.left_out))
+    if not ids:
+        raise LayoutError(f"{root}: expected frames, found none: {'; '.join(pairing.notes)}")
+    return Matched(ids, places, captured=captured, notes=tuple(pairing.notes))
 
 
 def _images(root: Path, source: PlaneSource, *, labels: bool) -> list[Found]:

@@ -43,7 +43,9 @@ def judged(
             lost = [i for i in lost if i in matched.places["depth"]]
         if source.missing == "error":
             for i in lost:
-                path = _expected(source.files, {"id": i, **matched.captured[i]})
+                # Paired in another way, its name does not follow from colour's.
+                known = {} if description.match else {"id": i, **matched.captured[i]}
+                path = _expected(source.files, known)
                 told = f"{root / path}: expected {name} of frame {i!r}, found none"
                 # The first is the one that ends a conversion, and looking costs.
                 lacking.setdefault(i, told if lacking else told + _other_ending(root / path))
