@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from nimprep.errors import CameraError
 from nimprep.readers.camera_formats import CameraTable, numbers_from_file
 from nimprep.readers.cameras import GivenCamera, camera_from_file
 from nimprep.readers.description import CameraSource
+from nimprep.readers.description_file import description_from_document
 
 FX, FY, CX, CY = 525.5, 526.25, 319.75, 239.125
 K = [FX, 0, CX, 0, FY, CY, 0, 0, 1]
@@ -417,3 +419,15 @@ def test_numbers_that_hold_for_another_size_are_scaled(tmp_path: Path) -> None:
         read(tmp_path, "c.json", {**NUMBERS, **SIZED}).camera(240, 320, "a")
     sized = {**NUMBERS, **SIZED}
     assert "leave for_size out" in refused(tmp_path, "c.json", sized, for_size=(320, 240))
+
+
+PAGE = Path(__file__).parent.parent.parent / "docs" / "cameras.md"
+
+
+def test_the_pages_examples_are_descriptions() -> None:
+    examples = re.findall(r"```json\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    assert len(examples) > 5
+    for example in examples:
+        base = {"format": "nimprep-folder", "version": "1.1", "name": "a", "rgb": "rgb/{id}.png"}
+        made = description_from_document({**base, **json.loads(example)}, "the page")
+        assert made.camera or (made.depth and made.depth.camera)
