@@ -66,7 +66,7 @@ def test_swapped_bytes_are_refused_whatever_the_scale(case: Case) -> None:
 
 def test_bytes_that_a_description_swaps_wrongly_are_refused_too(case: Case) -> None:
     root = case("39-")
-    with pytest.raises(DecodeError, match=r'leave "byte_order" out of the description$'):
+    with pytest.raises(DecodeError, match=r'leave "byte_order" out of the description\b'):
         doubts_of(root, described(root, "d.json", byte_order="swapped"))
 
 
