@@ -28,7 +28,8 @@ class Arrangement:
     Attributes
     ----------
     color : Part
-    depth, label, thermal : Part, optional
+    depth, label, thermal, mask : Part, optional
+        `mask` says where depth is valid.
     encoding : Encoding, optional
         Of depth.
     camera : CameraFiles, optional
@@ -42,6 +43,7 @@ class Arrangement:
     depth: Part | None = None
     label: Part | None = None
     thermal: Part | None = None
+    mask: Part | None = None
     encoding: Encoding | None = None
     camera: CameraFiles | None = None
     camera_files: str = ""
@@ -72,9 +74,12 @@ def arranged(
             form.others[best[0].pattern] = "{id}"
     made.label = _chosen(form, _labels(found))
     made.thermal = _chosen(form, found.of_kind(Kind.THERMAL))
+    if made.depth is not None:
+        masks = [plane for plane in found.of_kind(Kind.MASK) if _is_validity(plane)]
+        made.mask = _chosen(form, masks)
     _add_camera(made, form, found, made.depth.plane if made.depth else color)
     made.color.files = form.color_files()
-    for part in (made.depth, made.label, made.thermal):
+    for part in (made.depth, made.label, made.thermal, made.mask):
         if part is not None:
             part.files = form.files(part.plane.template.pattern)
     return made
@@ -98,6 +103,10 @@ def _worth(plane: Plane, depths: Sequence[Plane]) -> tuple[float, ...]:
     return (bool(matched), score, len(plane.template.members))
 
 
+def _is_validity(plane: Plane) -> bool:
+    return bool({"depth", "valid", "validity"} & set(words_of(plane.name)))
+
+
 def _labels(found: Examination) -> list[Plane]:
     order = {Kind.LABEL: 0, Kind.COLOUR_LABEL: 2, Kind.MASK: 3}
     later = {"color", "colour", "instance", "edge", "vis", "lane", "raw", "full", "13", "37", "894"}
@@ -105,7 +114,8 @@ def _labels(found: Examination) -> list[Plane]:
     def rank(plane: Plane) -> int:
         return order[plane.kind] + len(later & set(words_of(plane.name)))
 
-    return sorted(found.of_kind(*order), key=rank)
+    labels = [plane for plane in found.of_kind(*order) if not _is_validity(plane)]
+    return sorted(labels, key=rank)
 
 
 def _chosen(form: _Form, planes: Sequence[Plane]) -> Part | None:

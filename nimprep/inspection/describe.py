@@ -12,6 +12,7 @@ from nimprep.inspection.examination import Examination
 from nimprep.inspection.kinds import Kind
 from nimprep.inspection.label_values import labels_of
 from nimprep.inspection.split_lists import split_lists
+from nimprep.inspection.templates import Member
 
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
@@ -42,6 +43,8 @@ def describe(found: Examination, made: Arrangement) -> Described:
     document["rgb"] = _color(made)
     if made.depth is not None and made.encoding is not None:
         document["depth"] = _depth(made, result)
+    elif found.clouds:
+        result.notes.append("LiDAR scans are no depth images, and are left out")
     if made.label is not None:
         labels = labels_of(found, made.label.plane)
         missing = _missing(made, made.label)
@@ -92,6 +95,8 @@ def _depth(made: Arrangement, result: Described) -> dict[str, Any]:
         **_array(made.depth),
         **made.encoding.document,
     }
+    if made.mask is not None:
+        depth["confidence"] = {"files": made.mask.files, "least": 1}
     if made.depth.plane.guess.channel:
         depth["channel"] = made.depth.plane.guess.channel
     result.notes.append(f"depth's encoding is a guess: {made.encoding.name}; see the evidence")
@@ -173,8 +178,7 @@ def _add_split(
         document["split"] = {"of": "{split}"}
         return
     members = made.color.plane.template.members
-    stems = {member.stem for member in members} | _ids(made, members)
-    lists = split_lists(found, stems)
+    lists = split_lists(found, [_names(made, member) for member in members])
     if lists is None:
         return
     if lists.twice:
@@ -187,14 +191,14 @@ def _add_split(
     result.notes.append(f"splits by lists: {counts}")
 
 
-def _ids(made: Arrangement, members: Any) -> set[str]:
-    """Return what {id} stands for in colour images' names."""
+def _names(made: Arrangement, member: Member) -> tuple[str, ...]:
+    """Return what a list may call a frame: its image's name, and what {id} stands for in it."""
     name = made.color.files.rpartition("/")[2]
     if "{id}" not in name or name.count("{") > 1:
-        return set()
+        return (member.stem,)
     head, _, tail = name.partition("{id}")
     tail = tail.rpartition(".")[0]
-    return {m.stem[len(head) : len(m.stem) - len(tail)] for m in members}
+    return member.stem, member.stem[len(head) : len(member.stem) - len(tail)]
 
 
 def _add_size(made: Arrangement, document: dict[str, Any], result: Described) -> None:

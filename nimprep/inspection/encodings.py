@@ -218,7 +218,7 @@ def _plausibility(
 
 
 def _metres(value: float) -> str:
-    return f"{value:.2g}" if value < 10 else f"{value:.0f}"
+    return f"{value:.2g}" if value < 10 or value > 1e6 else f"{value:.0f}"
 
 
 def _steps(raw: RawDepth, scale: float) -> tuple[list[str], float]:

@@ -15,7 +15,7 @@ from nimprep.inspection.containers import CONTAINERS, Held, arrays_in, samples_o
 from nimprep.inspection.holdings import Holding, holding_at
 from nimprep.inspection.kinds import Kind
 from nimprep.inspection.planes import Guess, guessed
-from nimprep.inspection.samples import IMAGES, Sample, sampled
+from nimprep.inspection.samples import IMAGES, Sample, sampled, some_of
 from nimprep.inspection.survey import Survey
 from nimprep.inspection.templates import Template, templates_of
 from nimprep.inspection.words import has_role, has_words
@@ -136,7 +136,8 @@ def _paths(root: Path, template: Template) -> list[Path]:
 def _add_images(found: Examination, template: Template) -> None:
     root = found.survey.root
     problems: list[str] = []
-    samples = sampled(_paths(root, template), problems, root)
+    chosen = [root / member.path for member in some_of(template.members)]
+    samples = sampled(chosen, problems, root)
     if samples:
         same = [s for s in samples if (s.channels, s.pixels.dtype) == _kind_of(samples)]
         guess = guessed(template.pattern, same)

@@ -67,6 +67,8 @@ def _one_channel(pattern: str, hint: Kind, named: tuple[str, ...], samples: list
     distinct = max(np.unique(v[:: max(1, v.shape[0] // 200)]).size for v in values)
     if samples[0].kind == "palette":
         return Guess(Kind.LABEL, (*named, "a palette"))
+    if dtype.kind == "f" and hint == Kind.MASK and distinct <= 2:
+        return Guess(Kind.MASK, (*named, f"{distinct} values"))
     if dtype.kind == "f":
         kind = Kind.DISPARITY if _is_disparity(pattern, hint) else Kind.DEPTH
         return Guess(kind, (*named, f"one channel of {dtype}"))
@@ -101,6 +103,8 @@ def _one_byte(
         return Guess(Kind.DISPARITY, (*named, "8 bits"))
     if hint in (Kind.CONFIDENCE, Kind.THERMAL):
         return Guess(hint, named)
+    if hint == Kind.MASK and distinct <= 2:
+        return Guess(Kind.MASK, (*named, "two values"))
     if distinct <= 2 and max(int(v.max()) for v in values) in (1, 255) and hint != Kind.LABEL:
         return Guess(Kind.MASK, (*named, "two values"))
     if distinct <= FEW and (hint in (Kind.LABEL, Kind.INSTANCES) or _blocky(values)):

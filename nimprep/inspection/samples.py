@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,10 +60,13 @@ class Sample:
         return self.pixels.shape[1], self.pixels.shape[0]
 
 
-def sampled(paths: list[Path], problems: list[str], root: Path) -> list[Sample]:
-    """Decode some of the files, spread over them all; what cannot be is a line of `problems`."""
-    step = max(1, len(paths) // MOST_SAMPLES)
-    chosen = paths[::step][:MOST_SAMPLES]
+def some_of(members: Sequence[Any]) -> list[Any]:
+    """Return a few, spread over them all."""
+    return list(members[:: max(1, len(members) // MOST_SAMPLES)][:MOST_SAMPLES])
+
+
+def sampled(chosen: Sequence[Path], problems: list[str], root: Path) -> list[Sample]:
+    """Decode files; what cannot be is a line of `problems`."""
     found: list[Sample] = []
     pixels = 0
     for path in chosen:

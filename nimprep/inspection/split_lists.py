@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nimprep.errors import DecodeError
@@ -34,9 +34,9 @@ class SplitLists:
     twice: bool
 
 
-def split_lists(found: Examination, stems: Iterable[str]) -> SplitLists | None:
-    """Return the list files that name frames, whose images' names have these stems."""
-    known = set(stems)
+def split_lists(found: Examination, frames: Sequence[tuple[str, ...]]) -> SplitLists | None:
+    """Return the list files that name frames, each of which has these names."""
+    known = {name for names in frames for name in names}
     files: dict[str, str] = {}
     entries: dict[str, set[str]] = {}
     paths = [member.path for t in found.texts for member in t.members[:50]]
@@ -53,7 +53,7 @@ def split_lists(found: Examination, stems: Iterable[str]) -> SplitLists | None:
     every = set().union(*entries.values())
     twice = sum(map(len, entries.values())) > len(every)
     counts = {split: len(named) for split, named in entries.items()}
-    return SplitLists(files, counts, _covers(every, known), twice)
+    return SplitLists(files, counts, _covers(every, frames), twice)
 
 
 def _named(found: Examination, path: str, known: set[str]) -> set[str]:
@@ -81,5 +81,6 @@ def _is_known(column: str, known: set[str]) -> bool:
     return _stem(column) in known
 
 
-def _covers(named: set[str], known: set[str]) -> bool:
-    return known <= {_stem(name) for name in named}
+def _covers(named: set[str], frames: Sequence[tuple[str, ...]]) -> bool:
+    stems = {_stem(name) for name in named}
+    return all(any(name in stems for name in names) for names in frames)

@@ -12,6 +12,7 @@ MAX_FILES = 300_000
 
 MAX_PER_FOLDER = 100_000
 MAX_PROBLEMS = 20
+_DEEPEST = 40
 
 _LITTER = {"thumbs.db", "desktop.ini", "__macosx", "@eadir", "__pycache__", "lost+found"}
 
@@ -61,6 +62,9 @@ def survey_folder(root: Path) -> Survey:
         cut |= len(names) > MAX_PER_FOLDER
         files += [folder + name for name in names[:MAX_PER_FOLDER]]
         for name in subfolders:
+            if folder.count("/") > _DEEPEST:
+                problems.append(f"{folder[:80]}...: folders more than {_DEEPEST} deep")
+                break
             real = os.path.realpath(root / (folder + name))
             if Path(home).is_relative_to(real):
                 problems.append(f"{folder}{name}: a link to a folder that holds this one")
@@ -84,12 +88,16 @@ def _listed(root: Path, folder: str, problems: list[str]) -> tuple[list[str], li
                     continue
                 if not entry.name.isprintable():
                     problems.append(f"{folder}{entry.name!a}: a name that cannot be printed")
-                elif entry.is_dir():
-                    subfolders.append(entry.name)
-                elif entry.is_file():
-                    names.append(entry.name)
-                elif entry.is_symlink():
-                    problems.append(f"{folder}{entry.name}: a link to nothing")
+                    continue
+                try:
+                    if entry.is_dir():
+                        subfolders.append(entry.name)
+                    elif entry.is_file():
+                        names.append(entry.name)
+                    elif entry.is_symlink():
+                        problems.append(f"{folder}{entry.name}: a link to nothing")
+                except OSError as error:
+                    problems.append(f"{folder}{entry.name}: {error.strerror}")
     except OSError as error:
         problems.append(f"{folder or '.'}: cannot be listed ({error.strerror})")
     return sorted(names), sorted(subfolders)

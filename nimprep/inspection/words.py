@@ -26,6 +26,7 @@ def _set(text: str) -> frozenset[str]:
 
 
 HINTS: dict[Kind, frozenset[str]] = {
+    Kind.MASK: _set("depthmask validmask"),
     Kind.DEPTH: _set(
         "depth depths depthmap depthmaps dep dense sparse zbuffer distance range bfx groundtruth"
     ),
@@ -76,6 +77,8 @@ def hint_of(pattern: str) -> tuple[Kind, str]:
     for part in reversed(parts):
         stem = part.rpartition(".")[0] if part is parts[-1] else part
         words = words_of(stem)
+        if words[-2:] in (("depth", "mask"), ("valid", "mask"), ("depth", "valid")):
+            return Kind.MASK, " ".join(words[-2:])
         for kind, known in HINTS.items():
             for word in words:
                 if word in known:

@@ -187,7 +187,12 @@ def open_reader(
         given["camera"] = camera_from(given["camera"], options.distortion)
     asked = (("labels", labels), ("depth", depth), ("official", official))
     wanted = {name: value for name, value in asked if name in parameters}
-    reader: Reader = make(root, **wanted, **given)
+    try:
+        reader: Reader = make(root, **wanted, **given)
+    except LayoutError as error:
+        if options.reader == "auto" and not options.description:
+            error.add_note(f"nimprep inspect {root} says what is there")
+        raise
     return reader
 
 

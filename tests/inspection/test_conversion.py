@@ -74,9 +74,7 @@ TRUTHS: dict[str, Truth] = {
         lambda i: next(k for k, n in enumerate(("kv1", "kv2", "realsense", "xtion")) if n in i), 4
     ),
     "scannet": Truth(_last, 4, 2),
-    "drno": Truth(
-        _last, 3, split={"lists": {"train": "train.txt", "test": "test.txt"}, "rest": "skip"}
-    ),
+    "drno": Truth(_last, 3, split={"lists": {"train": "train.txt", "test": "test.txt"}}),
 }
 
 

@@ -202,3 +202,54 @@ def test_beyond_a_number_of_files_it_says_that_there_are_more(
     found = inspect_source(tmp_path).to_dict()
     assert found["sampled"]
     assert found["files"] == 20
+
+
+def test_a_folder_that_only_looks_like_a_layout_leads_to_inspect(tmp_path: Path) -> None:
+    scenes.icl_nuim(tmp_path / "raw")
+    result = CliRunner().invoke(main, ["convert", str(tmp_path / "raw"), str(tmp_path / "s.zarr")])
+    assert result.exit_code == 1
+    assert f"nimprep inspect {tmp_path / 'raw'} says what is there" in result.stderr
+
+
+def test_scans_without_depth_images_are_said_to_be_left_out(tmp_path: Path) -> None:
+    for k in range(3):
+        scenes.save(tmp_path / f"sequences/00/image_2/{k:06d}.png", scenes.street(k)[0])
+        scan = tmp_path / f"sequences/00/velodyne/{k:06d}.bin"
+        scan.parent.mkdir(exist_ok=True)
+        np.random.default_rng(k).normal(0, 8, (200, 4)).astype(np.float32).tofile(scan)
+    scenes.note(tmp_path / "sequences/00/calib.txt", "P2: 80 0 47.5 0 0 80 20 0 0 0 1 0\n")
+    found = inspect_source(tmp_path)
+    assert "LiDAR scans are no depth images, and are left out" in found.notes
+    assert found.description is not None
+    assert "depth" not in found.description
+    assert found.description["camera"]["key"] == "P2"
+
+
+def test_a_mask_of_valid_depth_becomes_its_confidence(tmp_path: Path) -> None:
+    scenes.diode(tmp_path)
+    found = inspect_source(tmp_path).description
+    assert found is not None
+    assert found["depth"]["confidence"]["files"].endswith("{id}_depth_mask.npy")
+
+
+def test_folders_too_deep_and_links_to_themselves_are_a_line_each(tmp_path: Path) -> None:
+    scenes.icl_nuim(tmp_path)
+    deep = tmp_path.joinpath(*["d"] * 300)
+    deep.mkdir(parents=True)
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    said = " ".join(inspect_source(tmp_path).to_dict()["problems"])
+    assert "more than 40 deep" in said
+    assert "loop" in said
+
+
+def test_lists_that_name_every_frame_leave_none_over(tmp_path: Path) -> None:
+    for k in range(4):
+        scenes.save(tmp_path / f"left/left{k}.png", scenes.street(k)[0])
+        scenes.save(tmp_path / f"depth/depth{k}.png", scenes.units(scenes.street(k)[1], 1000))
+    scenes.note(tmp_path / "train.txt", "0\n1\n2\n")
+    for names, rest in (("3\n", {}), ("", {"rest": "skip"})):
+        scenes.note(tmp_path / "test.txt", names)
+        found = inspect_source(tmp_path).description
+        assert found is not None
+        lists = {"train": "train.txt", **({"test": "test.txt"} if names else {})}
+        assert found["split"] == {"lists": lists, **rest}
