@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from nimprep.errors import DecodeError
 from nimprep.readers import Reader
+
+LARGE_FILE = 1 << 26
+"""Of files of so many bytes the digest is kept: one that holds all frames is read once for them."""
 
 FileState = tuple[str, int, int]
 """A file's name within the dataset, its bytes, and when it was changed, nanoseconds."""
@@ -92,10 +97,29 @@ def frame_digest(reader: Reader, frame_id: str) -> str:
     for path in reader.sources(frame_id):
         digest.update(f"{_name(reader, path)}\0".encode())
         try:
-            with path.open("rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
+            digest.update(_file_digest(path))
         except OSError as error:
             raise DecodeError(
                 f"{path}: expected a readable file, found {error.strerror}; mend it"
             ) from error
     return digest.hexdigest()
+
+
+def _file_digest(path: Path) -> bytes:
+    """Return the SHA-256 of a file; of a large one, which may hold many frames, once."""
+    found = path.stat()
+    if found.st_size < LARGE_FILE:
+        return _read_digest(path, 0, 0)
+    with _LARGE_FILES:
+        return _large_digest(path, found.st_size, found.st_mtime_ns)
+
+
+_LARGE_FILES = Lock()
+
+
+def _read_digest(path: Path, size: int, changed_ns: int) -> bytes:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
+
+
+_large_digest = lru_cache(maxsize=64)(_read_digest)
