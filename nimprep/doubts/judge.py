@@ -24,6 +24,7 @@ TITLES = {
     "principal-point": "Principal point outside the image",
     "field-of-view": "Camera of another image?",
     "beyond-range": "Depth beyond what a store holds",
+    "exif-orientation": "Images turned by EXIF",
     "mask-255": "Class 255 ignored?",
     "ignored": "Labels ignored",
     "class-missing": "Classes that are nowhere",
@@ -130,6 +131,17 @@ def _percent(share: float) -> str:
 _DESCRIBE = "under depth in the description"
 
 RULES: tuple[Rule, ...] = (
+    Rule(
+        "exif-orientation",
+        "exif_orientation",
+        lambda x: x != 1,
+        lambda x: (
+            f"images are turned by their EXIF orientation, {x:.0f}, as viewers show them; if "
+            "labels or cameras are those of the pixels as they are stored, say "
+            '"orientation": "ignore" in the description'
+        ),
+        share=0,
+    ),
     Rule(
         "byte-order",
         "swapped_roughness",

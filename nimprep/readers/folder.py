@@ -34,6 +34,7 @@ from nimprep.readers.label_values import label_image
 from nimprep.readers.matching import Place, formatted, group_of, matched_frames
 from nimprep.readers.missing import judged
 from nimprep.readers.official_splits import official_splits, without_labelled
+from nimprep.readers.orientation import orientation_signs
 from nimprep.readers.registration import (
     Cameras,
     Registered,
@@ -214,7 +215,9 @@ class FolderReader(ReaderBase):
             made = registered(frame_id, images, places, cameras, self._description)
         images = {**made.images, **self._none(absent, made.camera.shape)}
         return replace(
-            self._frame(frame_id, made.camera, images), absent=frozenset(absent), signs=signs
+            self._frame(frame_id, made.camera, images),
+            absent=frozenset(absent),
+            signs={**signs, **orientation_signs(places, self._description)},
         )
 
     def _none(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, npt.NDArray[Any]]:

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+import nimprep
+from nimprep.conversion.options import ConvertOptions
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.base import Reader
@@ -136,3 +138,10 @@ def test_kinds_that_are_not_read_are_named(case: Case, kind: str, name: str) -> 
     reader = open_reader(root / kind, ReaderOptions(description=root / kind / "d.json"))
     with pytest.raises(DecodeError, match=name):
         reader.read("0")
+
+
+def test_what_was_turned_is_said_with_the_number_of_frames(case: Case, tmp_path: Path) -> None:
+    root = case("20-")
+    options = ConvertOptions(description=root / "d.json", split_by="frame")
+    with pytest.warns(UserWarning, match=r"turned by their EXIF orientation, 3, .*\(4 frames"):
+        nimprep.convert(root / "o3", tmp_path / "s.zarr", options)

@@ -18,6 +18,7 @@ GOOD = {
     **raw_signs(rough_street(), name="depth/0.png"),
     **depth_signs(street(), CAMERA, 65.535),
     **camera_signs(CAMERA),
+    "exif_orientation": 1.0,
 }
 
 DOUBTFUL = {
@@ -31,6 +32,7 @@ DOUBTFUL = {
     "normalised-camera": ({"focal_px": 0.86, "view_deg": 179.0}, "0.86 pixels, as where .* share"),
     "principal-point": ({"cx_share": 7.5, "cy_share": 5.6}, "cx at 7.5 of its width"),
     "field-of-view": ({"view_deg": 5.3}, "5.3 degrees"),
+    "exif-orientation": ({"exif_orientation": 6.0}, 'orientation, 6,.*"orientation": "ignore"'),
     "beyond-range": ({"beyond_range": 0.27}, "^27% .* beyond 65.535 m"),
 }
 
