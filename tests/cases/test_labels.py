@@ -145,3 +145,69 @@ def test_what_was_turned_is_said_with_the_number_of_frames(case: Case, tmp_path:
     options = ConvertOptions(description=root / "d.json", split_by="frame")
     with pytest.warns(UserWarning, match=r"turned by their EXIF orientation, 3, .*\(4 frames"):
         nimprep.convert(root / "o3", tmp_path / "s.zarr", options)
+
+
+def describe(root: Path, **said: object) -> Reader:
+    """Return the reader of a public layout by a description."""
+    classes = [
+        {"id": 0, "name": "other", "color": [0, 0, 0]},
+        {"id": 1, "name": "road", "color": [0, 200, 0]},
+        {"id": 2, "name": "car", "color": [0, 0, 200]},
+    ]
+    document = {"format": "nimprep-folder", "version": "1.1", "name": "own", "classes": classes}
+    (root / "d.json").write_text(json.dumps({**document, **said}))
+    return open_reader(root, ReaderOptions(description=root / "d.json"))
+
+
+def png(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
+
+
+def test_r2ds_label_is_the_red_channel(layout: Case) -> None:
+    root = layout("r2d")
+    reader = describe(
+        root,
+        rgb="training/{town}/rgb/{id}.jpg",
+        label={
+            "files": "training/{town}/label/{id}.png",
+            "channel": "R",
+            "map": {"7": 1},
+            "default": 0,
+        },
+        id="{town}/{id}",
+    )
+    red = png(root / "training" / "Town02" / "label" / "000000.png")[..., 2]
+    assert np.array_equal(reader.read("Town02/000000")["label"], red == 7)
+    assert set(np.unique(red)) == {1, 7}
+
+
+def test_kittis_semantic_ids_are_mapped(layout: Case) -> None:
+    root = layout("kitti_semantics")
+    reader = describe(
+        root,
+        rgb="training/image_2/{id}_10.png",
+        label={
+            "files": "training/semantic/{id}_10.png",
+            "map": {"0-6": 255, "7": 1, "8-23": 0, "24-33": 2},
+        },
+    )
+    ids = png(root / "training" / "semantic" / "000001_10.png")
+    expected = np.select([ids == 7, ids == 26, ids == 11, ids == 23], [1, 2, 0, 0], 9)
+    assert np.array_equal(reader.read("000001")["label"], expected)
+
+
+def test_mfnets_thermal_is_the_fourth_channel(layout: Case) -> None:
+    root = layout("mfnet")
+    reader = describe(
+        root,
+        rgb="images/{id}.png",
+        label={"files": "labels/{id}.png"},
+        planes={"thermal": {"files": "images/{id}.png", "channel": "A", "dtype": "uint8"}},
+    )
+    frame = reader.read("00001D", ("rgb", "label", "thermal"))
+    image = png(root / "images" / "00001D.png")
+    assert np.array_equal(frame["rgb"], image[..., 2::-1])
+    assert np.array_equal(frame["thermal"], image[..., 3])
+    assert np.array_equal(frame["label"], png(root / "labels" / "00001D.png"))
