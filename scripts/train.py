@@ -246,7 +246,7 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("store", type=Path)
-    parser.add_argument("--setup", default="nim-rgb+d", choices=SETUPS)
+    parser.add_argument("--setup", default="nim-rgb+d", help="as StoreDataset takes it")
     parser.add_argument(
         "--setups", choices=["all"], help="all the store serves; with --fusion of two"
     )

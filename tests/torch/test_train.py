@@ -15,10 +15,11 @@ from click.testing import CliRunner
 
 import nimprep
 from nimprep.cli import main
-from nimprep.errors import LayoutError
+from nimprep.errors import ArrayError, LayoutError
 from nimprep.synthetic import write_synthetic
 from tests.conftest import PROJECT
 from tests.fakes import NYU_LIKE, depth_image, write_png
+from tests.thermal import use_reader, write_thermal
 
 torch = pytest.importorskip("torch")
 
@@ -208,3 +209,17 @@ def test_frames_of_several_sizes_train_together_and_are_predicted_at_their_own(t
             main, ["evaluate", str(tmp_path / "s.zarr"), str(folder), "--json"]
         )
         assert json.loads(told.stdout) == result["scores"][split].to_dict()
+
+
+@pytest.mark.filterwarnings("ignore:.*no calibration")
+def test_a_setup_may_have_planes_of_the_datasets_own(train, tmp_path):
+    raw = write_thermal(tmp_path / "raw", 10, (48, 64))
+    with pytest.MonkeyPatch.context() as patch:
+        use_reader(patch)
+        store = nimprep.convert(raw, tmp_path / "s.zarr").path
+    for more in ((), ("--fusion",)):
+        (result,) = run(train, store, tmp_path / "runs", "--setup", "rgb+thermal", *more, epochs=1)
+        assert np.isfinite(result["losses"]).all()
+    with pytest.raises(ArrayError, match=r"setup: expected one of rgb, .*found 'rgb.termal'"):
+        run(train, store, tmp_path / "none", "--setup", "rgb+termal", epochs=1)
+    assert not (tmp_path / "none").exists()
