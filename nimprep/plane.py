@@ -23,7 +23,9 @@ _IN_STORES = (
     "class_pixels chunk_crc32c packed frame y x channel size row column road_column axis "
     "sum_channel sum class_or_ignored modality"
 )
-_IN_FRAMES = "id camera depth_m baseline_m others inputs generator planes u v inside mask depth3"
+_IN_FRAMES = (
+    "id camera depth_m baseline_m others inputs generator planes u v inside mask depth3 depth_u16"
+)
 
 TAKEN = frozenset(f"{_IN_STORES} {_IN_FRAMES}".split())
 """Names that no plane may have, as something else of a frame or a store has them."""
@@ -70,6 +72,12 @@ def plane_from(name: str, definition: Mapping[str, Any]) -> Modality:
         raise ArrayError(
             f"plane {name!r}: expected resize 'nearest' or 'linear', found {resize!r}; choose one"
         )
+    for key, most in (("units", 32), ("long_name", 128)):
+        if len(str(definition.get(key) or "")) > most:
+            raise ArrayError(
+                f"plane {name!r}: expected {key} of at most {most} characters, found "
+                f"{len(str(definition[key]))}; shorten it"
+            )
     fill, limits = definition.get("fill"), np.iinfo(dtype)
     if fill is not None and not (type(fill) is int and limits.min <= fill <= limits.max):
         raise ArrayError(

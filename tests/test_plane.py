@@ -89,6 +89,7 @@ def test_a_number_that_rounds_to_what_means_none_stays_a_number() -> None:
         ({"dtype": "uint8", "offset": "1"}, "expected a scale from"),
         ({"dtype": "uint16", "scale": 1e-4, "offset": 1e4}, "steps that float32 can tell apart"),
         ({"dtype": "uint8", "resize": "cubic"}, "expected resize"),
+        ({"dtype": "uint8", "units": "m" * 33}, "expected units of at most 32"),
     ],
 )
 def test_a_definition_that_describes_no_plane_is_refused(given: Any, words: str) -> None:

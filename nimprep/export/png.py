@@ -4,6 +4,7 @@ OUT/
   rgb/000001.png         8-bit colour
   depth_u16/000001.png   16-bit, millimetres; 0 = no depth
   label/000001.png       8-bit class ids; 255 = ignore
+  thermal/000001.png     and other planes of the dataset's own, as the description says
   camera.json            of all frames, or camera/000001.json ... where they differ
   description.json       the folder as `convert --description` reads it: classes, cameras, scenes
   split.json             as `convert --split-file` reads it
@@ -13,7 +14,8 @@ Modalities that are asked for by name stand in folders of their names (``hha/000
 
 What the layout has no place for is not there: the transform to the road, and the direction of
 gravity. Where a store has that transform (KITTI), HHA made from the folder differs from its HHA.
-Planes of the dataset's own are left out, which is said, unless they are asked for by name.
+Planes of negative integers that have one for none are left out, which is said, unless they are
+asked for by name.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ from nimprep.errors import StoreError
 from nimprep.export.encoding import FILE, describe_encoding, encode_image, folder_of
 from nimprep.export.places import write_new
 from nimprep.kitti.images import png_bytes
+from nimprep.modality import Modality
+from nimprep.plane import definition_of
 from nimprep.readers.matching import group_of
 from nimprep.schema import json_bytes
 from nimprep.splits import split_document
@@ -67,14 +71,29 @@ def raw_modalities(store: Store) -> list[str]:
             f"{store.path}: expected one of {', '.join(RAW)} for --format png, "
             f"found {', '.join(store.modalities)}; name what to write with --modalities"
         )
-    if store.planes:
-        names = ", ".join(plane.name for plane in store.planes)
+    planes = [store.modality(p.name) for p in store.planes if p.name in store.arrays]
+    if left := [plane.name for plane in planes if not _is_describable(plane)]:
         warnings.warn(
-            f"{store.path}: {names}: GMRP's layout has no place for them, so they are left out; "
-            "name them with --modalities, or use --format npz",
+            f"{store.path}: {', '.join(left)}: a description has no words for PNGs of negative "
+            "integers and none, so they are left out; name them with --modalities, or use "
+            "--format npz",
             stacklevel=2,
         )
-    return there
+    return there + [plane.name for plane in planes if _is_describable(plane)]
+
+
+def _is_describable(plane: Modality) -> bool:
+    """Return whether a description can say what the PNGs of a plane hold."""
+    return np.dtype(plane.dtype).kind == "u" or not plane.has_none
+
+
+def _plane_entry(plane: Modality) -> dict[str, Any]:
+    """Return what a description says of a plane's PNGs, whose integers are moved up from 0."""
+    entry = {"files": f"{plane.name}/{{id}}.png", **definition_of(plane)}
+    if least := int(np.iinfo(plane.dtype).min):
+        offset = plane.offset + least * plane.scale
+        entry |= {"source_scale": plane.scale, "source_offset": offset}
+    return entry
 
 
 def write_encodings(store: Store, folder: Path, modalities: Sequence[str]) -> None:
@@ -100,7 +119,7 @@ def write_records(
     splits = {i: split for i, split in store.splits.items() if i in cameras}
     write_new(folder / "split.json", json_bytes(split_document(splits)))
     if {"rgb", "depth"} <= set(modalities):
-        description = describe(store, numbers, pattern, "label" in modalities)
+        description = describe(store, numbers, pattern, modalities)
         write_new(folder / "description.json", json_bytes(description))
 
 
@@ -124,7 +143,9 @@ def shared_camera(cameras: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     return None
 
 
-def describe(store: Store, numbers: Sequence[int], camera: str, labels: bool) -> dict[str, Any]:
+def describe(
+    store: Store, numbers: Sequence[int], camera: str, modalities: Sequence[str]
+) -> dict[str, Any]:
     """Return the description of the exported folder (schemas/folder.schema.json)."""
     document: dict[str, Any] = {
         "format": "nimprep-folder",
@@ -134,7 +155,10 @@ def describe(store: Store, numbers: Sequence[int], camera: str, labels: bool) ->
         "depth": {"files": "depth_u16/{id}.png", "scale_m": 0.001},
         "camera": camera,
     }
-    if labels and store.classes:
+    planes = [plane for plane in store.planes if plane.name in modalities]
+    if entries := {plane.name: _plane_entry(plane) for plane in planes if _is_describable(plane)}:
+        document |= {"version": "1.1", "planes": entries}
+    if "label" in modalities and store.classes:
         document["label"] = {"files": "label/{id}.png"}
         document["classes"] = [
             {"id": c.id, "name": c.name, "color": list(c.color)} for c in store.classes

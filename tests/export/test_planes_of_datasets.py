@@ -16,6 +16,8 @@ from nimprep.report.artist import Artist
 from nimprep.report.collect import collect, physical
 from nimprep.report.contents import legends
 from nimprep.report.store_page import write_report
+from nimprep.schema import schema_problems
+from tests.readers.test_extra_values import write_folder
 from tests.thermal import degrees, raw_confidence, raw_thermal, use_reader, write_thermal
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*no calibration")
@@ -42,12 +44,39 @@ def test_an_archive_has_planes_in_their_units(stores: dict[str, Path], tmp_path:
         assert "depth_m" in found
 
 
-def test_pngs_leave_planes_out_and_say_so(stores: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"confidence, thermal: .*left out; name them"):
-        export_frames(stores["all"], tmp_path / "png")
-    assert not (tmp_path / "png" / "thermal").exists()
+def test_pngs_of_planes_convert_back_by_their_description(
+    stores: dict[str, Path], tmp_path: Path
+) -> None:
+    export_frames(stores["all"], tmp_path / "png")
+    folder, store = tmp_path / "png", nimprep.open_store(stores["all"])
+    assert schema_problems(json.loads((folder / "description.json").read_text()), "folder") == []
+    description = folder / "description.json"
+    again = nimprep.convert(folder, tmp_path / "s.zarr", description=description)
+    assert again.planes == store.planes
+    for name in store.modalities:
+        for number in range(len(store)):
+            stored = store.arrays[name].read(number)
+            assert np.array_equal(again.arrays[name].read(number), stored)
     with pytest.raises(StoreError, match="found thermal; name what to write"):
         export_frames(stores["thermal"], tmp_path / "none")
+
+
+def test_planes_of_negative_integers_convert_back_or_are_said_to_be_left_out(
+    tmp_path: Path,
+) -> None:
+    signed = {"files": "flow/{id}.npy", "dtype": "int16", "scale": 0.05, "source_scale": 1}
+    planes = {"flow": signed, "flow_with_none": {**signed, "fill": -32768}}
+    description = write_folder(tmp_path / "raw", planes)
+    store = nimprep.convert(tmp_path / "raw", tmp_path / "s.zarr", description=description)
+    with pytest.warns(UserWarning, match="flow_with_none: .* left out; name them"):
+        export_frames(store, tmp_path / "png")
+    assert not (tmp_path / "png" / "flow_with_none").exists()
+    description = tmp_path / "png" / "description.json"
+    again = nimprep.convert(tmp_path / "png", tmp_path / "t.zarr", description=description)
+    assert [plane.name for plane in again.planes] == ["flow"]
+    assert again.modality("flow") == store.modality("flow")
+    for number in range(len(store)):
+        assert np.array_equal(again[number]["flow"], store[number]["flow"])
 
 
 def test_pngs_of_planes_that_are_named_hold_the_stored_integers(
