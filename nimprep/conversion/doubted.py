@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -25,18 +26,30 @@ from nimprep.store.table_specs import CLASS_PIXELS
 
 Doubts = list[dict[str, Any]]
 
+_ROADS = 64
 
-def frame_signs(frame: Frame, margins: Margins | None) -> dict[str, float]:
+
+def shows_road(frame_id: str, frames: int) -> bool:
+    """Return whether the road is to be looked for in one of so many frames: some 64 tell of all.
+
+    Which frames these are depends on their ids alone.
+    """
+    return zlib.crc32(frame_id.encode()) % max(1, frames // _ROADS) == 0
+
+
+def frame_signs(frame: Frame, margins: Margins | None, *, road: bool = True) -> dict[str, float]:
     """Return the signs of a frame as it was read: the reader's, its depth's and its camera's.
 
     Parameters
     ----------
     margins : Margins, optional
         What was cut off it; the camera is judged by the whole image.
+    road : bool
+        Whether to look for the road, and how high the camera is above it.
     """
     camera, signs = frame.camera, dict(frame.signs)
     if frame.depth_m is not None:
-        signs |= depth_signs(frame.depth_m, camera, MAX_DEPTH_M)
+        signs |= depth_signs(frame.depth_m, camera, MAX_DEPTH_M, road=road)
     return signs | camera_signs(camera if margins is None else _whole(camera, margins))
 
 

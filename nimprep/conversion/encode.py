@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.conversion.doubted import frame_signs
+from nimprep.conversion.doubted import frame_signs, shows_road
 from nimprep.conversion.plan import Job
 from nimprep.conversion.records import DEPTHS, FrameFacts, SkippedFrame, UnitRecord
 from nimprep.conversion.sources import changed_files, frame_digest, frame_state
@@ -167,7 +167,8 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     counts = np.zeros(DEPTHS, dtype=np.int64)
     if "depth" in stored:
         count_values(stored["depth"], counts)
-    frame = replace(frame, signs=frame_signs(frame, job.margins))
+    road = shows_road(frame_id, len(job.states))
+    frame = replace(frame, signs=frame_signs(frame, job.margins, road=road))
     sums = channel_sums({n: stored[n] for n in layout.modalities}, layout.planes)
     pixels = class_pixels(stored.get("label"), [entry.id for entry in layout.classes])
     return EncodedFrame(_facts(frame, gravity, sums, pixels, chunks, digest), chunks, counts)

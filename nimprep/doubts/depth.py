@@ -22,7 +22,7 @@ _UPRIGHT = 0.7
 
 
 def depth_signs(
-    depth_m: npt.NDArray[np.float32], camera: Camera, most_m: float
+    depth_m: npt.NDArray[np.float32], camera: Camera, most_m: float, *, road: bool = True
 ) -> dict[str, float]:
     """Measure what tells that depth is not what it is taken for, on a sample of its pixels.
 
@@ -34,6 +34,8 @@ def depth_signs(
         Of the image's size.
     most_m : float
         The farthest depth that can be kept, metres.
+    road : bool
+        Whether to look for the road, which takes longer than all the rest.
 
     Returns
     -------
@@ -50,7 +52,7 @@ def depth_signs(
         "with_neighbours": _share_with_neighbours(depth_m),
         "beyond_range": _share_beyond(depth_m, most_m),
         "row_correlation": _row_correlation(depth_m),
-        "camera_height_m": _camera_height(depth_m, camera),
+        "camera_height_m": _camera_height(depth_m, camera) if road else None,
     }
     return {n: value for n, value in signs.items() if value is not None and math.isfinite(value)}
 

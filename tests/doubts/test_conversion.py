@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import nimprep
-from nimprep.conversion.doubted import frame_signs
+from nimprep.conversion.doubted import frame_signs, shows_road
 from nimprep.errors import DoubtWarning
 from nimprep.frame import Frame
 from nimprep.readers.crop import Margins
@@ -130,3 +130,12 @@ def test_the_camera_is_judged_by_the_image_before_it_was_cropped() -> None:
     assert frame_signs(frame, None)["cx_share"] < 0
     signs = frame_signs(frame, margins)
     assert (signs["cx_share"], signs["cy_share"], signs["largest_raw"]) == (0.5, 0.5, 9)
+
+
+def test_the_road_is_looked_for_in_some_frames_of_many_and_in_all_of_few() -> None:
+    ids = [f"{n:06d}" for n in range(4000)]
+    assert all(shows_road(i, 127) for i in ids[:127])
+    assert 32 <= sum(shows_road(i, 4000) for i in ids) <= 128
+    frame = Frame("a", CAMERA, depth_m=street())
+    with_road, without = (frame_signs(frame, None, road=road) for road in (True, False))
+    assert with_road.keys() - without.keys() == {"camera_height_m"}
