@@ -36,11 +36,12 @@ _STAMPS = r"^(rgb|color)/\d{9,}\.\d+|^depth/\d{9,}\.\d+"
 CONVENTIONS: tuple[Convention, ...] = (
     Convention(
         r"proj_depth|velodyne_raw|depth_annotated|dense_depth|sparse_depth|depth-map|"
-        r"lidar_depth|(?<!v)kitti(?!2)",
+        r"lidar_depth|drive_\d{4}_sync|velodyne_raw",
         1 / 256,
-        4,
+        5,
         "LiDAR depth in images is mostly written as KITTI's: 256 units per metre",
     ),
+    Convention(r"(?<!v)kitti(?!2)|velodyne|lidar", 1 / 256, 2, "KITTI has 256 units per metre"),
     Convention(
         rf"{_STAMPS}|^(rgb|depth)\.txt$|^associat\w*\.txt$|freiburg|^groundtruth\.txt$|\bicl|eth3d",
         1 / 5000,
@@ -71,6 +72,7 @@ CONVENTIONS: tuple[Convention, ...] = (
         4,
         "Stanford 2D-3D-S and Taskonomy have 512 units per metre",
     ),
+    Convention(r"carla|(^|/)Town\d\d", 1000 / 65535, 5, "CARLA's far plane is at 1000 m"),
     Convention(r"apollo", 0.005, 3, "ApolloScape has 200 units per metre"),
     Convention(
         r"scene\d{4}_\d\d|scannet|seq-\d\d/frame-\d|depth_bfx|depth_u16|\bmm\b|_mm\b|iphone|"

@@ -81,6 +81,7 @@ def _conventions(found: Examination, plane: Plane) -> list[Convention]:
     names += [template.pattern for template in found.texts]
     names += [camera.template.pattern for camera in found.cameras]
     names += [p.template.members[0].path for p in found.planes]
+    names += [template.pattern for template in found.others]
     names += [cloud.pattern for cloud in found.clouds]
     return conventions_in(names)
 

@@ -25,6 +25,7 @@ SCALES: dict[float, tuple[str, float]] = {
     1e-4: ("1/10000 m", 0.0),
     1 / 6553.5: ("1/6553.5 m", -0.2),
     0.005: ("1/200 m", -1.0),
+    1000 / 65535: ("1000 m / 65535", -1.0),
 }
 """Metres per unit of whole numbers: its name, and how common it is, points."""
 
@@ -32,6 +33,7 @@ FLOATS: dict[float, tuple[str, float]] = {
     1.0: ("metres", 2.0),
     MILLIMETRE: ("millimetres", 0.5),
     0.01: ("centimetres", 0.3),
+    1000.0: ("1000 m per unit, as CARLA's normalised depth", -1.0),
 }
 
 _CARLA = 1000 / (256**3 - 1)
@@ -202,8 +204,8 @@ def _plausibility(
     said = [f"{_metres(low)} to {_metres(high)} m, median {_metres(middle)} m"]
     # Rooms have medians around 2 m, streets around 10 m.
     score = -0.5 * min((math.log(middle / 2) / 0.7) ** 2, (math.log(middle / 9) / 0.8) ** 2)
-    if low > 8:
-        score -= (math.log(low / 8) / 0.5) ** 2
+    if low > 6:
+        score -= (math.log(low / 6) / 0.7) ** 2
     if high < 0.6:
         score -= (math.log(high / 0.6) / 0.5) ** 2
     if high > 120:

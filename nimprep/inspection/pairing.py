@@ -48,13 +48,18 @@ def paired(color: Template, other: Template) -> Pairing | None:
         return Pairing(_ID, "", compared, compared) if keys <= known else None
     shared = _shared(color, other)
     ours, theirs = (_by_place(template, shared) for template in (color, other))
-    best: Pairing | None = None
+    best: tuple[int, str, str, str] | None = None
     for left, right, kind in _differences(ours, theirs):
         matched = _count(ours, theirs, left, right, kind)
-        found = _pairing(left, right, kind, matched, compared)
-        if matched and (best is None or matched > best.matched):
-            best = found
-    return best
+        if matched and (best is None or matched > best[0]):
+            best = matched, left, right, kind
+    if best is None:
+        return None
+    matched, left, right, kind = best
+    if kind == "within":
+        head = _common_word(name.partition(left)[0] for names in ours.values() for name in names)
+        left, right = head + left, head + right
+    return _pairing(left, right, kind, matched, compared)
 
 
 def _shared(first: Template, second: Template) -> frozenset[str]:
@@ -111,6 +116,12 @@ def _difference(mine: str, other: str) -> tuple[str, str, str]:
     if head == 0:
         return left, right, "begins"
     return left, right, "ends" if tail == 0 else "within"
+
+
+def _common_word(heads: Iterable[str]) -> str:
+    """Return the last word that all texts end with, as "_sync", where more comes before it."""
+    words = {match[0] if (match := re.search(r"[_\-. ][A-Za-z]+$", head)) else "" for head in heads}
+    return words.pop() if len(words) == 1 else ""
 
 
 def _alike(first: str, second: str) -> int:

@@ -10,7 +10,7 @@ from functools import cache
 from nimprep.inspection.words import SPLITS, has_role, words_of
 
 _FIELDS = re.compile(r"[^_\-. ]+|[_\-. ]+")
-_CAMERA = re.compile(r"cam(era)?[_\-. ]?\d+/", re.IGNORECASE)
+_CAMERA = re.compile(r"(cam(era)?[_\-. ]?\d+|left|right)/", re.IGNORECASE)
 _END = re.compile(
     r"(?<=\d)[_\-. ]+[A-Za-z][A-Za-z\d]*(?:[_\-. ][A-Za-z][A-Za-z\d]*)*$|[_\-. ][A-Za-z]+$|$"
 )
@@ -141,7 +141,7 @@ def _classes(
     classes: list[tuple[list[str], set[str]]] = []
     literal: list[list[str]] = []
     roles = [name for name in children if has_role(name) and name not in split]
-    cameras = [name for name in roles if _CAMERA.match(f"{name}/")]
+    cameras = [name for name in roles if re.match(r"cam(era)?[_\-. ]?\d+$", name.lower())]
     for name in children:
         if name in split:
             continue

@@ -220,6 +220,53 @@ def kinect_times_five(root: Path) -> None:
         save(root / f"b/{k}.png", 5 * units(depth, 1000))
 
 
+def kitti_selection(root: Path) -> None:
+    rng = np.random.default_rng(0)
+    for k in range(FRAMES):
+        color, depth = street(k)
+        depth[rng.random(depth.shape) > 0.15] = 0
+        name = f"2011_09_26_drive_0002_sync_{{}}_{k:010d}_image_02"
+        part = root / "val_selection_cropped"
+        save(part / f"image/{name.format('image')}.png", color)
+        for kind in ("groundtruth_depth", "velodyne_raw"):
+            save(part / f"{kind}/{name.format(kind)}.png", units(depth, 256))
+        note(part / f"intrinsics/{name.format('image')}.txt", "80 0 47.5 0 80 20 0 0 1")
+
+
+def carla_16_bit(root: Path) -> None:
+    for k in range(FRAMES):
+        color, depth = street(k)
+        save(root / f"Town03/rgb/{k}.png", color)
+        save(root / f"Town03/depth/{k}.png", units(depth, 65.535))
+
+
+def carla_normalised(root: Path) -> None:
+    for k in range(FRAMES):
+        color, depth = street(k)
+        save(root / f"Town03/rgb/{k}.png", color)
+        save(root / f"Town03/depth/{k}.npy", depth / np.float32(1000))
+
+
+def scene_flow(root: Path) -> None:
+    for k in range(FRAMES):
+        color, depth = street(k)
+        place = "15mm_focallength/scene_forwards/fast/{}/{:04d}".format
+        for side in ("left", "right"):
+            save(root / f"frames_cleanpass/{place(side, k)}.png", color)
+            pixels = disparity(depth, 1.0).astype(np.float32)
+            save(root / f"disparity/{place(side, k)}.pfm", pixels)
+
+
+def stanford(root: Path) -> None:
+    for k in range(FRAMES):
+        color, depth = street(k, closer=4)
+        raw = units(depth, 512)
+        raw[raw == 0] = 65535
+        name = f"camera_00d10d86db1e435081a837ced388375{k}_office_{k}_frame_{k}_domain_"
+        save(root / f"area_1/data/rgb/{name}rgb.png", color)
+        save(root / f"area_1/data/depth/{name}depth.png", raw)
+
+
 CARLA = 1000 / (256**3 - 1)
 
 KINDS: dict[Callable[[Path], None], dict[str, Any]] = {
@@ -241,5 +288,10 @@ KINDS: dict[Callable[[Path], None], dict[str, Any]] = {
     nameless: {"scale_m": 1 / 256},
     centimetres: {"scale_m": 0.01},
     kinect_times_five: {"scale_m": 1 / 5000},
+    kitti_selection: {"scale_m": 1 / 256},
+    carla_16_bit: {"scale_m": 1000 / 65535},
+    carla_normalised: {"scale_m": 1000.0},
+    scene_flow: {"values": "disparity", "scale_px": 1.0},
+    stanford: {"scale_m": 1 / 512, "invalid": [0, 65535]},
 }
 """What writes a data set, and what its depth must be told to be."""
