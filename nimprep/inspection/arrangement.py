@@ -183,11 +183,8 @@ class _Form:
     def color_files(self) -> str:
         if self._color.fixed:
             return self._color.pattern
-        return f"{self._color.folder}{self.color}{self._color.members[0].path[-self._cut() :]}"
-
-    def _cut(self) -> int:
-        member = self._color.members[0]
-        return len(member.name) - len(member.stem)
+        pattern = self._color.pattern
+        return f"{self._color.folder}{self.color}{pattern[pattern.rfind('.') :]}"
 
     def files(self, pattern: str) -> str:
         ending = pattern[pattern.rfind(".") :]

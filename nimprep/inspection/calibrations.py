@@ -103,7 +103,7 @@ def _flat(document: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _of_document(document: Any) -> Calibration | None:
-    if not isinstance(document, dict):
+    if not isinstance(document, dict) or document.get("format") == "nimprep-folder":
         return None
     flat = dict(_flat(document))
     numbers: dict[str, float] = {}

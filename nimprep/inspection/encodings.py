@@ -208,8 +208,8 @@ def _plausibility(
         score -= (math.log(low / 6) / 0.7) ** 2
     if high < 0.6:
         score -= (math.log(high / 0.6) / 0.5) ** 2
-    if high > 120:
-        score -= (math.log(high / 120) / 0.4) ** 2
+    if high > 250:
+        score -= (math.log(high / 250) / 0.4) ** 2
     if ground is not None and ground.slope < 0 and ground.depth_fit > 0.8:
         focal, given = focal_length(clues.numbers, raw.planes[0].shape[::-1])
         height = ground.depth_height * scale / focal

@@ -8,26 +8,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nimprep.errors import DecodeError, LayoutError, NimprepError
-from nimprep.files import read_file
+from nimprep.files import read_file, read_start
 from nimprep.inspection.arrangement import arranged
 from nimprep.inspection.depth_guess import depth_encodings, sorted_depth
 from nimprep.inspection.describe import describe
+from nimprep.inspection.document import MOST_LINES, found_document, holding_document
 from nimprep.inspection.encodings import Encoding
 from nimprep.inspection.examination import Examination, Plane, examined
 from nimprep.inspection.holdings import Holding, holding_at
 from nimprep.inspection.kinds import Kind
 from nimprep.inspection.layouts import fitting_reader
 from nimprep.inspection.survey import Survey, survey_folder
-from nimprep.inspection.templates import Template
 from nimprep.readers import ReaderName
 from nimprep.readers.description_file import description_from_document
 from nimprep.readers.folder import FolderReader
 from nimprep.readers.nearby import nearby_dataset
 
-_MOST_LINES = 20
 _MOST_TRIED = 20_000
 """A description of more files is not tried: pairing them all takes a reader seconds."""
 
@@ -76,135 +73,13 @@ class Inspection:
             "kind": self.kind,
             "what": self.what,
             "reader": self.reader,
-            "files": 0 if found is None else len(found.survey.files),
-            "sampled": found is not None and found.survey.cut,
-            "patterns": [] if found is None else _patterns(found),
-            "depth": [_depth(plane, encodings) for plane, encodings in self.depth],
-            "cameras": [] if found is None else _cameras(found),
-            "splits": {} if found is None else split_counts(found),
-            "holdings": [_holding(holding, self.source) for holding in self.holdings],
-            "problems": [] if found is None else found.problems[:_MOST_LINES],
+            **found_document(found, self.depth),
+            "holdings": [holding_document(holding, self.source) for holding in self.holdings],
+            "problems": [] if found is None else found.problems[:MOST_LINES],
             "notes": self.notes,
             "next": self.next_steps,
             "description": self.description,
         }
-
-
-def _patterns(found: Examination) -> list[dict[str, Any]]:
-    root = found.survey.root
-    lines = [
-        {
-            "files": plane.pattern,
-            "count": plane.count,
-            "bytes": _bytes(root, plane.template),
-            "kind": plane.kind,
-            "evidence": list(plane.guess.evidence),
-            "size": list(plane.samples[0].size),
-            **_array(plane),
-            "channels": plane.samples[0].channels,
-            "dtype": str(plane.samples[0].pixels.dtype),
-            "range": _range(plane),
-        }
-        for plane in found.planes
-    ]
-    rest = (
-        *((c.template, "camera") for c in found.cameras),
-        *((template, "points") for template in found.clouds),
-        *((template, "text") for template in found.texts),
-        *((template, "other") for template in found.others),
-    )
-    lines += [
-        {
-            "files": template.pattern,
-            "count": len(template.members),
-            "bytes": _bytes(root, template),
-            "kind": kind,
-            "evidence": [],
-        }
-        for template, kind in rest
-    ]
-    return lines
-
-
-def _array(plane: Plane) -> dict[str, str]:
-    if plane.held is None or not plane.held.key:
-        return {}
-    return {"key": plane.held.key, "axes": plane.held.axes}
-
-
-def _bytes(root: Path, template: Template) -> int:
-    """Return how many bytes files take together, by the first 50 of them."""
-    some = template.members[:50]
-    sizes = []
-    for member in some:
-        try:
-            sizes.append((root / member.path).stat().st_size)
-        except OSError:
-            continue
-    return round(sum(sizes) / max(1, len(sizes)) * len(template.members))
-
-
-def _range(plane: Plane) -> list[float] | None:
-    ends = []
-    for sample in plane.samples:
-        values = sample.pixels[np.isfinite(sample.pixels)]
-        if values.size:
-            ends += [float(values.min()), float(values.max())]
-    return [min(ends), max(ends)] if ends else None
-
-
-def _depth(plane: Plane, encodings: Sequence[Encoding]) -> dict[str, Any]:
-    return {
-        "files": plane.pattern,
-        "encodings": [
-            {
-                "name": encoding.name,
-                "score": round(encoding.score, 2),
-                "depth": {"files": plane.pattern, **_array(plane), **encoding.document},
-                "reasons": list(encoding.reasons),
-            }
-            for encoding in encodings[:3]
-        ],
-    }
-
-
-def _cameras(found: Examination) -> list[dict[str, Any]]:
-    return [
-        {
-            "files": camera.template.pattern,
-            "count": len(camera.template.members),
-            "numbers": dict(camera.calibration.numbers),
-            "key": camera.calibration.key,
-            "depth_scale": camera.calibration.depth_scale,
-        }
-        for camera in found.cameras
-    ]
-
-
-def _holding(holding: Holding, source: Path) -> dict[str, Any]:
-    path = holding.path
-    name = path.relative_to(source) if path.is_relative_to(source) and path != source else path
-    return {
-        "path": str(name),
-        "kind": holding.kind,
-        "what": holding.what,
-        "names": list(holding.names[:_MOST_LINES]),
-        "step": holding.step,
-    }
-
-
-def split_counts(found: Examination) -> dict[str, int]:
-    """Return how many files of the pattern with most the folders named as splits have."""
-    best: dict[str, int] = {}
-    for plane in found.planes:
-        counts: dict[str, int] = {}
-        for member in plane.template.members:
-            if "split" in member.captured:
-                name = member.captured["split"]
-                counts[name] = counts.get(name, 0) + 1
-        if sum(counts.values()) > sum(best.values()):
-            best = counts
-    return best
 
 
 def inspect_source(source: Path | str) -> Inspection:
@@ -317,6 +192,7 @@ def _describe(made: Inspection, found: Examination) -> None:
         return
     described = describe(found, arrangement)
     made.description = described.document
+    made.notes += [f"{path} is a description already" for path in _descriptions(found)]
     made.notes += described.notes
     made.next_steps = [f"nimprep inspect {made.source} --write FILE.json"]
     if len(found.survey.files) > _MOST_TRIED:
@@ -328,6 +204,19 @@ def _describe(made: Inspection, found: Examination) -> None:
     except NimprepError as error:
         reason = " ".join(str(error).split())
         made.notes.append(f"the description needs your help: {reason}")
+
+
+def _descriptions(found: Examination) -> list[str]:
+    """Return the folder descriptions that lie beside the images."""
+    paths = [template.members[0].path for template in found.texts if template.ending == ".json"]
+    return [path for path in paths[:20] if _is_description(found.survey.root / path)]
+
+
+def _is_description(path: Path) -> bool:
+    try:
+        return b'"nimprep-folder"' in read_start(path, 4096)
+    except DecodeError:
+        return False
 
 
 def _summary(found: Examination) -> str:

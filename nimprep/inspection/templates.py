@@ -7,15 +7,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
+from nimprep.inspection.stems import MIXED, VIEW, affixes, name_key
 from nimprep.inspection.words import SPLITS, has_role, words_of
 
-_FIELDS = re.compile(r"[^_\-. ]+|[_\-. ]+")
 _CAMERA = re.compile(r"(cam(era)?[_\-. ]?\d+|left|right)/", re.IGNORECASE)
-_END = re.compile(
-    r"(?<=\d)[_\-. ]+[A-Za-z][A-Za-z\d]*(?:[_\-. ][A-Za-z][A-Za-z\d]*)*$|[_\-. ][A-Za-z]+$|$"
-)
-_VIEW = re.compile(r"(im|view|disp)\d(GT|[ynLE])?$")
-"""Middlebury's names: the digit is the camera."""
 
 _MANY = 12
 """So many sibling folders of one shape are scenes, whatever their names."""
@@ -177,7 +172,7 @@ def _signature(folder: _Folder, look: Callable[[str], str]) -> set[str]:
     """Return what a folder has in it, down to folders whose names say what they hold."""
     firsts: dict[tuple[str, ...], str] = {}
     for name in folder.files[:100]:
-        firsts.setdefault(_key(name), name)
+        firsts.setdefault(name_key(name), name)
     found = {f"{key} {look(folder.path + name)}" for key, name in firsts.items()}
     for name, child in list(folder.folders.items())[:100]:
         found |= {f"{name}/"} if has_role(name) else _signature(child, look)
@@ -198,34 +193,17 @@ def _free(name: str, pattern: str) -> str:
     return free
 
 
-def _key(name: str) -> tuple[str, ...]:
-    """Return what tells a file's kind from that of others in its folder."""
-    stem, _, ending = name.rpartition(".")
-    if _VIEW.match(stem):
-        return (ending.lower(), stem)
-    parts = [part for part in _FIELDS.findall(stem or ending) if part[0] not in "_-. "]
-    numbers = [place for place, part in enumerate(parts) if part[0].isdigit()]
-    last = numbers[-1] if numbers else len(parts)
-    told = [
-        re.sub(r"\d{2,}$|(?<=[a-z])\d$", "", part)
-        for place, part in enumerate(parts)
-        if has_role(part) or (place > last and not re.search(r"\d", part))
-    ]
-    if not any(letter.isdigit() for letter in stem or ending) and not told:
-        told = [stem or ending] if ending.lower() not in _PICTURES else []
-    return (ending.lower(), *told)
-
-
-_PICTURES = {"png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp", "npy", "npz", "pgm", "ppm", "pfm"}
-
-
 def _add_files(
     places: list[tuple[_Folder, dict[str, str]]], pattern: str, found: list[Template]
 ) -> None:
     by_key: dict[tuple[str, ...], list[Member]] = {}
     for folder, captured in places:
         for name in folder.files:
-            by_key.setdefault(_key(name), []).append(Member(folder.path + name, captured))
+            by_key.setdefault(name_key(name), []).append(Member(folder.path + name, captured))
+    for key in list(by_key):
+        for other in list(by_key):
+            if key != other and key in by_key and _goes_with(key, other, by_key):
+                by_key[key] += by_key.pop(other)
     found += [_template(pattern, members) for members in by_key.values()]
 
 
@@ -233,37 +211,14 @@ def _template(folder: str, members: list[Member]) -> Template:
     stems = {member.stem for member in members}
     name = members[0].name
     ending = name[len(members[0].stem) :]
-    if len(stems) == 1 and (_VIEW.match(members[0].stem) or not re.search(r"\d", members[0].stem)):
-        return Template(folder, name, "", tuple(members), fixed=True)
-    if len(stems) == 1 and len(members) > 1:
-        return Template(folder, name, "", tuple(members), fixed=True)
+    if len({member.name[len(member.stem) :].lower() for member in members}) > 1:
+        ending = ".*"
+    stem = members[0].stem
+    told = VIEW.match(stem) or not re.search(r"\d", stem)
+    if len(stems) == 1 and (told or len(members) > 1):
+        return Template(folder, stem + ending, "", tuple(members), fixed=True)
     head, tail = affixes(sorted(stems))
     return Template(folder, head, tail + ending, tuple(members))
-
-
-def affixes(stems: Sequence[str]) -> tuple[str, str]:
-    """Return what all names begin and end with, whole words without numbers."""
-    first, last = stems[0], stems[-1]
-    shortest = min(map(len, stems))
-    head = 0
-    while head < shortest and first[head] == last[head]:
-        head += 1
-    match = re.match(r"[^\d]*", first[:head])
-    prefix = match[0] if match else ""
-    backwards = [stem[::-1] for stem in stems]
-    low, high = min(backwards), max(backwards)
-    tail = 0
-    while tail < shortest and low[tail] == high[tail]:
-        tail += 1
-    match = _END.search(first)
-    suffix = match[0] if match else ""
-    if len(suffix) > tail or len(prefix) + len(suffix) >= shortest:
-        suffix = ""
-    if len(prefix) < len(first) and prefix and first[len(prefix)].isalpha():
-        # The names part within a word.
-        cut = max(prefix.rfind(sign) for sign in "_-. ")
-        prefix = prefix[: cut + 1]
-    return prefix, suffix
 
 
 def _joined(found: list[Template]) -> list[Template]:
@@ -299,3 +254,13 @@ def _tail(folder: str) -> str:
     while parts and not has_role(parts[0]):
         parts.pop(0)
     return "".join(f"{part}/" for part in parts)
+
+
+def _goes_with(
+    key: tuple[str, ...], other: tuple[str, ...], by_key: Mapping[tuple[str, ...], list[Member]]
+) -> bool:
+    """Tell whether files of two endings are one kind of image, as of phones and downloads."""
+    if key[1:] != other[1:] or not {key[0], other[0]} <= MIXED:
+        return False
+    places = [{m.path.rpartition(".")[0] for m in by_key[name]} for name in (key, other)]
+    return not places[0] & places[1]

@@ -19,6 +19,8 @@ from nimprep.errors import LayoutError
 from nimprep.inspection import survey
 from nimprep.inspection.inspection import inspect_source
 from nimprep.readers import open_reader
+from nimprep.readers.description_file import description_from_document
+from nimprep.readers.folder import FolderReader
 from nimprep.schema import schema_problems
 from tests.fakes import write_gmrp, write_png
 from tests.inspection import scenes
@@ -253,3 +255,53 @@ def test_lists_that_name_every_frame_leave_none_over(tmp_path: Path) -> None:
         assert found is not None
         lists = {"train": "train.txt", **({"test": "test.txt"} if names else {})}
         assert found["split"] == {"lists": lists, **rest}
+
+
+def test_several_endings_of_one_kind_of_image_are_one_pattern(tmp_path: Path) -> None:
+    for k, ending in enumerate(("jpg", "JPG", "jpeg", "png")):
+        color, depth = scenes.street(k)
+        scenes.save(tmp_path / f"rgb/{k}.{ending}", color)
+        scenes.save(tmp_path / f"depth/{k}.png", scenes.units(depth, 1000))
+    found = inspect_source(tmp_path)
+    assert found.description is not None
+    assert found.description["rgb"] == "rgb/{id}.*"
+    assert "the description gives 4 frames" in found.notes
+
+
+def test_colour_and_depth_of_one_name_and_folder_are_two_patterns(tmp_path: Path) -> None:
+    for k in range(3):
+        color, depth = scenes.street(k)
+        scenes.save(tmp_path / f"kitchen/{k}.jpg", color)
+        scenes.save(tmp_path / f"kitchen/{k}.png", scenes.units(depth, 1000))
+    found = inspect_source(tmp_path).description
+    assert found is not None
+    assert found["rgb"].endswith("{id}.jpg")
+    assert found["depth"]["files"].endswith("{id}.png")
+
+
+def test_a_description_that_lies_there_is_named_and_is_no_camera(tmp_path: Path) -> None:
+    scenes.icl_nuim(tmp_path)
+    camera = {"fx": 80, "fy": 80, "cx": 47, "cy": 20}
+    document = {"format": "nimprep-folder", "version": "1.0", "name": "x", "camera": camera}
+    scenes.note(tmp_path / "d.json", json.dumps(document))
+    found = inspect_source(tmp_path)
+    assert "d.json is a description already" in found.notes
+    assert found.to_dict()["cameras"] == []
+
+
+def test_arrays_of_hdf5_files_of_a_frame_each(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    for k in range(3):
+        color, depth = scenes.street(k, closer=4)
+        (tmp_path / "train").mkdir(exist_ok=True)
+        with h5py.File(tmp_path / f"train/{k:05d}.h5", "w") as file:
+            file["rgb"] = color.transpose(2, 0, 1)
+            file["depth"] = depth
+    found = inspect_source(tmp_path).description
+    assert found is not None
+    assert found["rgb"] == {"files": "{split}/{id}.h5", "key": "rgb", "axes": "CHW"}
+    assert found["depth"] == {"files": "{split}/{id}.h5", "key": "depth", "scale_m": 1.0}
+    reader = FolderReader(tmp_path, description_from_document(found, "d"))
+    read = reader.read("train/00001").depth_m
+    assert read is not None
+    np.testing.assert_allclose(read, scenes.street(1, closer=4)[1], atol=1e-5)
