@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from nimprep.errors import LayoutError
+from nimprep.images import read_header
 from nimprep.readers.description import PlaneSource
 from nimprep.readers.tree import found_files
 
@@ -37,17 +38,32 @@ class Found(NamedTuple):
 
 
 def found_images(root: Path, source: PlaneSource) -> list[Found]:
-    """Return every image of a kind, in order of path.
+    """Return every image of a kind, in order of path and, within a file of many, of number.
+
+    The number is what {id} stands for there, "000012"; or what it ends with, after a slash, where
+    the pattern has an {id} itself.
 
     Raises
     ------
     LayoutError
         The pattern leaves the folder, or its folder is missing.
+    DecodeError
+        A file of many images is damaged.
     """
     files = list(found_files(root, source.files))
     if source.files.endswith(".*") and source.raw is None:
         files = [each for each in files if each[0].suffix.lower() in ENDINGS]
-    return [Found(values, Place(path)) for path, values in files]
+    if "N" not in (source.axes or ""):
+        return [Found(values, Place(path)) for path, values in files]
+    return [
+        Found({**values, "id": _numbered(values.get("id"), number)}, Place(path, number))
+        for path, values in files
+        for number in range(read_header(path, source.layout).frames or 0)
+    ]
+
+
+def _numbered(file_id: str | None, number: int) -> str:
+    return f"{number:06d}" if file_id is None else f"{file_id}/{number:06d}"
 
 
 def by_placeholders(

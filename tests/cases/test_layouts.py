@@ -8,10 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import nimprep
 from nimprep.errors import LayoutError
 from nimprep.readers import Reader, ReaderOptions, open_reader
+from tests.cases.cases import layout_scene
 
 BASE: dict[str, Any] = {
     "format": "nimprep-folder",
@@ -60,6 +63,22 @@ LAYOUTS: dict[str, dict[str, Any]] = {
         "rgb": "RGB/{id}.jpg",
         "depth": {"files": "Depth/{id}.png", "scale_m": 0.04},
         "label": {"files": "Label/{id}.png", "default": 255},
+    },
+    "nyuv2_mat": {
+        "rgb": {"files": "nyu_depth_v2_labeled.mat", "key": "images", "axes": "NCWH"},
+        "depth": {
+            "files": "nyu_depth_v2_labeled.mat",
+            "key": "depths",
+            "axes": "NWH",
+            "scale_m": 1,
+        },
+        "label": {
+            "files": "nyu_depth_v2_labeled.mat",
+            "key": "labels",
+            "axes": "NWH",
+            "map": {"7": 1},
+            "default": 255,
+        },
     },
     "sunrgbd": {
         "rgb": "{id}/image/*.jpg",
@@ -138,3 +157,18 @@ def test_sunrgbd_has_a_folder_per_frame(layout: Callable[[str], Path]) -> None:
     frames = found(opened(layout("sunrgbd")))
     assert frames["kv1/NYUdata/NYU0001"] == ("kv1/NYUdata", None)
     assert len(frames) == 4
+
+
+def test_nyu_is_one_file_of_many_frames(layout: Callable[[str], Path], tmp_path: Path) -> None:
+    pytest.importorskip("h5py")
+    reader = opened(layout("nyuv2_mat"))
+    assert reader.ids == ("000000", "000001", "000002", "000003")
+    truth = layout_scene(2)
+    frame = reader.read("000002")
+    assert np.array_equal(frame["rgb"], truth[0])
+    assert np.array_equal(frame["depth"], truth[1])
+    assert np.array_equal(frame["label"] == 1, truth[2] == 7)
+    assert len(reader.sources("000002")) == 1
+    document = tmp_path / "layouts/nyuv2_mat.json"
+    store = nimprep.convert(reader.root, tmp_path / "s.zarr", description=document)
+    assert np.array_equal(store[2]["rgb"], truth[0])
