@@ -23,11 +23,10 @@ _IN_STORES = (
     "class_pixels chunk_crc32c packed frame y x channel size row column road_column axis "
     "sum_channel sum class_or_ignored modality"
 )
-_IN_FRAMES = (
-    "id camera depth_m baseline_m others inputs generator planes u v inside mask depth3 depth_u16"
-)
+_IN_FRAMES = "id camera depth_m baseline_m others absent signs depth_u16"
+_IN_SAMPLES = "inputs generator planes u v inside mask depth3"
 
-TAKEN = frozenset(f"{_IN_STORES} {_IN_FRAMES}".split())
+TAKEN = frozenset(f"{_IN_STORES} {_IN_FRAMES} {_IN_SAMPLES}".split())
 """Names that no plane may have, as something else of a frame or a store has them."""
 
 _RESIZE: dict[tuple[str, bool], Resize] = {
