@@ -64,10 +64,15 @@ class RoadFiles:
         return self.folder / "gt_image_2" / f"{category}_{target}_{number}.png"
 
 
-def list_road_files(root: Path) -> tuple[RoadFiles, ...]:
+def list_road_files(root: Path, *, calibrated: bool = True) -> tuple[RoadFiles, ...]:
     """List the frames of a road folder: every image in training/image_2 and testing/image_2.
 
     A folder that holds image_2 itself is taken too.
+
+    Parameters
+    ----------
+    calibrated : bool
+        Whether each must have its calibration.
 
     Raises
     ------
@@ -88,7 +93,7 @@ def list_road_files(root: Path) -> tuple[RoadFiles, ...]:
             "give the folder that data_road.zip unpacks to"
         )
     for frame in frames:
-        if not frame.calibration.is_file():
+        if calibrated and not frame.calibration.is_file():
             raise LayoutError(
                 f"{frame.calibration}: expected the calibration of {frame.image}, found none"
             )

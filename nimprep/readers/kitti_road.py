@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import IGNORE_LABEL, Frame, LabelClass
-from nimprep.images import read_rgb
+from nimprep.images import read_header, read_rgb
 from nimprep.kitti.calibration import Calibration, read_calibration
 from nimprep.kitti.depth import (
     DepthOrigin,
@@ -75,7 +75,8 @@ class KittiRoadReader(ReaderBase):
     Raises
     ------
     LayoutError
-        No frames, a name that is none of the benchmark's, or a frame that lacks a file.
+        No frames, a name that is none of the benchmark's, or no frame that has all its files. One
+        that lacks a file is bad: asking for its files, its shape or itself is a `DecodeError`.
     """
 
     def __init__(
@@ -92,7 +93,8 @@ class KittiRoadReader(ReaderBase):
         self._labels, self._target, self._sparse = labels, target, sparse
         self._files: dict[str, RoadFiles] = {}
         self._depth: dict[str, DepthOrigin] = {}
-        for files in list_road_files(self.root):
+        self._lacking: dict[str, str] = {}
+        for files in list_road_files(self.root, calibrated=False):
             category = frame_category(files.name)
             if category is None:
                 raise LayoutError(
@@ -103,20 +105,40 @@ class KittiRoadReader(ReaderBase):
                 self._add(files, depth_from if depth else None)
         if not self._files:
             raise LayoutError(f"{self.root}: expected um frames for the target lane, found none")
+        if len(self._lacking) == len(self._files):
+            raise LayoutError(self._lacking[min(self._lacking)])
         self.ids = tuple(sorted(self._files))
         classes = _classes(target) if labels else ()
         self.info = DatasetInfo("kitti-road", classes, "file", split_by="eighth")
 
     def _add(self, files: RoadFiles, depth_from: DepthFrom | None) -> None:
         self._files[files.id] = files
+        if not files.calibration.is_file():
+            self._lacking[files.id] = (
+                f"{files.calibration}: expected the calibration of frame {files.id}, found none"
+            )
         if depth_from is not None:
-            self._depth[files.id] = choose_origin(files, depth_from, self._sparse)
+            try:
+                self._depth[files.id] = choose_origin(files, depth_from, self._sparse)
+            except LayoutError as error:
+                self._lacking[files.id] = str(error)
         truth = files.ground_truth(self._target)
         if self._labels and files.split != "testing" and not truth.is_file():
-            raise LayoutError(
+            self._lacking[files.id] = (
                 f"{truth}: expected the ground truth of frame {files.id}, found none; "
                 "use --no-labels to convert without"
             )
+
+    def _whole(self, frame_id: str) -> RoadFiles:
+        """Return the files of a frame that has them all."""
+        if frame_id in self._lacking:
+            raise DecodeError(self._lacking[frame_id])
+        return self._files[frame_id]
+
+    def shape(self, frame_id: str) -> tuple[int, int]:
+        """Return (height, width) of the frame's images, from a header."""
+        header = read_header(self._whole(frame_id).image)
+        return header.height, header.width
 
     def group(self, frame_id: str) -> str:
         """Return the category: um, umm or uu."""
@@ -142,6 +164,8 @@ class KittiRoadReader(ReaderBase):
 
     def metadata(self, frame_id: str) -> dict[str, Any]:
         """Return what else is known of the frame, for JSON: depth's source, the raw matrices."""
+        if frame_id in self._lacking:
+            return {}
         matrices = self.calibration(frame_id).matrices
         return {
             "depth_source": self.depth_source(frame_id),
@@ -150,7 +174,7 @@ class KittiRoadReader(ReaderBase):
 
     def sources(self, frame_id: str) -> tuple[Path, ...]:
         """Return the frame's image, calibration, ground truth and what its depth is made of."""
-        files = self._files[frame_id]
+        files = self._whole(frame_id)
         paths = [files.image, files.calibration]
         truth = files.ground_truth(self._target)
         if self._labels and truth.is_file():
@@ -161,7 +185,7 @@ class KittiRoadReader(ReaderBase):
 
     def read(self, frame_id: str, modalities: Collection[str] = MODALITIES) -> Frame:
         """Return the frame's rgb, depth_m and label, as far as `modalities` names them."""
-        files = self._files[frame_id]
+        files = self._whole(frame_id)
         shape = self.shape(frame_id)
         calibration = read_calibration(files.calibration)
         check_frame_size(shape, calibration, files.image)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nimprep
-from nimprep.errors import LayoutError
+from nimprep.errors import DecodeError, LayoutError
 from nimprep.splits import count_splits
 from nimprep.store.info import store_info
 from nimprep.store.resplit import resplit
@@ -163,3 +163,16 @@ def test_the_whole_benchmark_is_253_to_train_and_36_to_validate(
     # Another rule, and back.
     assert count_splits(resplit(made.path, rule="stratified").values())["val"] == 45
     assert count_splits(resplit(made.path, rule="eighth").values()) == expected
+
+
+@pytest.mark.parametrize("lost", ["gt_image_2/um_road_000001.png", "calib/um_000001.txt"])
+def test_a_frame_that_lacks_a_file_is_left_out_on_request(tmp_path: Path, lost: str) -> None:
+    root = tmp_path / "data_road"
+    for number in range(3):
+        write_frame(root, "training", f"um_00000{number}", 721.5377)
+    (root / "training" / lost).unlink()
+    with pytest.raises(DecodeError, match=r"expected the .* of frame training/um_000001, found n"):
+        nimprep.convert(root, tmp_path / "s.zarr")
+    store = nimprep.convert(root, tmp_path / "s.zarr", on_error="skip")
+    assert store.ids == ("training/um_000000", "training/um_000002")
+    assert [frame["id"] for frame in store.about.skipped] == ["training/um_000001"]
