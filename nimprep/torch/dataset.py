@@ -23,7 +23,7 @@ from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
 from nimprep.torch.setups import Setup, channels_of, check_dtype, select
 from nimprep.torch.stored_images import NormalsFrom, StoredImages, merged_classes
-from nimprep.torch.transforms.foreign import adapted
+from nimprep.torch.transforms.composition import adapted
 from nimprep.torch.transforms.geometry import check_returned
 from nimprep.torch.views import VIEWS
 

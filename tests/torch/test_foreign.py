@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -25,11 +27,12 @@ from nimprep.torch.transforms import (
     flip,
     resize,
 )
-from nimprep.torch.transforms.foreign import adapted
+from nimprep.torch.transforms.composition import adapted
 from tests.torch import vision
 from tests.torch.stores import make_mixed_store, make_store
 
 v2 = vision.transforms()
+Mask = importlib.import_module("torchvision.tv_tensors").Mask
 
 HEIGHT, WIDTH = 24, 32
 
@@ -238,6 +241,59 @@ def test_torchvisions_first_version_is_refused() -> None:
 def test_albumentations_that_cannot_be_seeded_are_refused() -> None:
     with pytest.raises(ArrayError, match="expected albumentations 2 or newer"):
         Albumentations(lambda **planes: planes)(sample())
+
+
+OWN: dict[str, Any] = {
+    "a function": lambda sample: v2.RandomHorizontalFlip(1.0)(sample),
+    "several": lambda sample: v2.Compose([v2.ColorJitter(0.1)])(sample),
+    "a method": v2.RandomRotation(9).forward,
+    "partly": functools.partial(v2.RandomHorizontalFlip(1.0)),
+}
+
+
+@pytest.mark.parametrize("transform", OWN.values(), ids=OWN)
+@pytest.mark.parametrize("among_ours", [False, True])
+def test_torchvisions_called_with_a_sample_is_refused(
+    path: Path, transform: Any, among_ours: bool
+) -> None:
+    given = Compose([RandomHorizontalFlip(), transform]) if among_ours else transform
+    dataset = StoreDataset(path, None, "nim-rgb+d", transform=given)
+    with pytest.raises(ArrayError, match=r"^frame '000001': expected .* Torchvision\(it\)\(sample"):
+        dataset[1]
+
+
+def test_ones_own_function_calls_torchvisions_by_its_adapter(path: Path) -> None:
+    turned = Torchvision(v2.RandomHorizontalFlip(1.0))
+    dataset = StoreDataset(path, None, "nim-rgb+d", transform=lambda sample: turned(sample))
+    expected = StoreDataset(path, None, "nim-rgb+d", transform=flip)[1]
+    for name in ("inputs", "label", "intrinsics"):
+        assert torch.equal(dataset[1][name], expected[name])
+    same = StoreDataset(path, None, "nim-rgb+d", transform=lambda sample: sample)
+    assert torch.equal(same[1]["inputs"], StoreDataset(path, None, "nim-rgb+d")[1]["inputs"])
+
+
+def test_modules_in_a_row_are_a_composition() -> None:
+    before = sample()
+    row = torch.nn.Sequential(v2.RandomHorizontalFlip(1.0), v2.CenterCrop((10, 12)))
+    check_same(adapted(row)(before), crop(flip(before), 7, 10, 10, 12))
+
+
+def test_a_list_is_told_what_makes_one_of_it(path: Path) -> None:
+    with pytest.raises(ArrayError, match=r"found list; several make one by Compose"):
+        StoreDataset(path, None, "rgb", transform=[RandomHorizontalFlip()])  # type: ignore[arg-type]
+
+
+MIXED: dict[str, tuple[Any, str]] = {
+    "between pixels": (A.Resize(20, 20, mask_interpolation=1), "^Resize: .* nearest pixel"),
+    "whole metres": (v2.ToDtype({Mask: torch.int64, "others": None}), "^ToDtype: .*depth to stay"),
+    "no tensors": (v2.ToPILImage(), "^ToPILImage: expected tensors back"),
+}
+
+
+@pytest.mark.parametrize(("transform", "said"), MIXED.values(), ids=MIXED)
+def test_numbers_that_were_mixed_or_cut_off_are_refused(transform: Any, said: str) -> None:
+    with pytest.raises(ArrayError, match=said):
+        adapted(transform)(sample("rgb", "depth", "label"))
 
 
 PIPELINES = [

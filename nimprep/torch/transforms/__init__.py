@@ -30,16 +30,18 @@ what it is given is not changed in place. Any callable of one's own may stand am
                          ColorJitter(0.3, 0.3, 0.3, 0.05), my_own])
 
 Transforms of `torchvision.transforms.v2` and of albumentations 2 may stand there as they are: each
-moves all planes with one draw and changes the colours of rgb alone; see `Torchvision`.
+moves all planes with one draw and changes the colours of rgb alone; see `Torchvision`. Within a
+function of one's own one of torchvision is called as ``Torchvision(it)(sample)``: given a sample
+itself it would move rgb alone, and is refused.
 
 `crop`, `flip`, `resize` and `jitter` are the same without chance.
 """
 
 from nimprep.torch.transforms.color import ColorJitter, jitter
+from nimprep.torch.transforms.composition import Compose
 from nimprep.torch.transforms.foreign import Albumentations, Torchvision
 from nimprep.torch.transforms.geometry import IMAGES, Sample, crop, flip, resize
 from nimprep.torch.transforms.randomly import (
-    Compose,
     RandomCrop,
     RandomHorizontalFlip,
     RandomScale,

@@ -44,29 +44,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_renew_lock)
 
 
-def adapted(transform: Callable[[Any], Any]) -> Callable[[Sample], Sample]:
-    """Return a transform that takes samples: the given one, or for a library's own its adapter.
-
-    Raises
-    ------
-    ArrayError
-        It is one of torchvision's first version, which knows one image only.
-    """
-    for kind in type(transform).__mro__:
-        library, name = kind.__module__, type(transform).__name__
-        if library.startswith("torchvision.transforms.v2"):
-            return Torchvision(transform)
-        if library.startswith("albumentations."):
-            return Albumentations(transform)
-        if library.startswith("torchvision.transforms"):
-            raise ArrayError(
-                f"{name}: expected a transform of torchvision.transforms.v2, which moves labels "
-                "and depth with their image, found one of torchvision.transforms; import it from "
-                "there"
-            )
-    return transform
-
-
 @dataclass(frozen=True)
 class Torchvision:
     """Apply a transform of `torchvision.transforms.v2` to a whole sample.
@@ -101,8 +78,10 @@ class Torchvision:
         with _lock, torch.random.fork_rng(devices=[]):
             torch.manual_seed(_seed(sample))
             moved = self.transform(given)
-        found = {n: p.as_subclass(Tensor) for n, p in moved.items()}
-        return _sample(sample, found, _names(self.transform))
+        names = _names(self.transform)
+        if others := [p for p in moved.values() if not isinstance(p, Tensor)]:
+            raise ArrayError(f"{names}: expected tensors back, found {type(others[0])}")
+        return _sample(sample, {n: p.as_subclass(Tensor) for n, p in moved.items()}, names)
 
 
 @dataclass(frozen=True)
@@ -190,6 +169,7 @@ def _sample(before: Sample, planes: Planes, names: str) -> Sample:
     if len(sizes) > 1:
         raise ArrayError(f"{names}: expected planes of one size back, found {sorted(sizes)}")
     inside = planes["inside"][0] == _INSIDE
+    _check_values(before, planes, inside, names)
     move = _move(planes["u"][0].double(), planes["v"][0].double(), inside)
     _check(move, before, names)
     after: Sample = {**before, "size": sizes.pop()}
@@ -208,6 +188,23 @@ def _sample(before: Sample, planes: Planes, names: str) -> Sample:
 
 def _images(sample: Sample) -> list[str]:
     return list(records(sample))
+
+
+def _check_values(sample: Sample, planes: Planes, inside: Tensor, names: str) -> None:
+    """Raise where numbers were not moved but mixed, or cut off behind the point."""
+    came = torch.stack([planes[name][0][inside] for name in ("u", "v")])
+    if not torch.equal(came, came.round()):
+        raise ArrayError(
+            f"{names}: expected the nearest pixel of every plane but rgb, found a mixture; its "
+            "mask_interpolation is to be cv2.INTER_NEAREST"
+        )
+    for name in _images(sample):
+        found = planes[name].dtype
+        if sample[name].is_floating_point() and not found.is_floating_point:
+            raise ArrayError(
+                f"{names}: expected {name} to stay {sample[name].dtype}, found {found}; change the "
+                "dtype of Image alone"
+            )
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,12 @@
-"""Transforms with options: chosen by chance, or in a row."""
+"""Transforms with options, of which chance has a share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 
 from nimprep.errors import ArrayError
-from nimprep.torch.transforms.foreign import adapted
 from nimprep.torch.transforms.geometry import Sample, crop, flip, frame_size, resize
 
 
@@ -21,25 +19,6 @@ def uniform(sample: Sample, low: float, high: float) -> float:
 def _check_size(name: str, height: int, width: int) -> None:
     if int(height) != height or int(width) != width or height <= 0 or width <= 0:
         raise ArrayError(f"{name}: expected a positive height and width, found {height}, {width}")
-
-
-@dataclass(frozen=True)
-class Compose:
-    """Apply transforms one after the other.
-
-    Parameters
-    ----------
-    transforms : sequence of callables
-        Each takes a sample and returns one, or is of `torchvision.transforms.v2` or albumentations.
-    """
-
-    transforms: Sequence[Callable[[Sample], Sample]]
-
-    def __call__(self, sample: Sample) -> Sample:
-        """Return the sample after the last transform."""
-        for transform in self.transforms:
-            sample = adapted(transform)(sample)
-        return sample
 
 
 @dataclass(frozen=True)
