@@ -68,9 +68,11 @@ def describe(found: Examination, made: Arrangement) -> Described:
     return result
 
 
-def _array(part: Part) -> dict[str, str]:
-    """Return what a description says of an array in a container."""
-    held = part.plane.held
+def _array(part: Part) -> dict[str, Any]:
+    """Return what a description says of an array in a container, or of bare numbers."""
+    held, raw = part.plane.held, part.plane.raw
+    if raw is not None:
+        return {"raw": {"dtype": raw.dtype, "width": raw.width, "height": raw.height}}
     if held is None or not held.key:
         return {}
     plain = held.axes in ("HW", "HWC")

@@ -10,6 +10,9 @@ import numpy as np
 
 from nimprep.errors import DecodeError
 from nimprep.files import read_start
+from nimprep.images import Raw
+from nimprep.inspection.bare_numbers import ENDINGS as BARE
+from nimprep.inspection.bare_numbers import bare_layout, bare_samples
 from nimprep.inspection.calibrations import ENDINGS, Calibration, calibration_in
 from nimprep.inspection.containers import CONTAINERS, Held, arrays_in, samples_of
 from nimprep.inspection.holdings import Holding, holding_at
@@ -36,12 +39,15 @@ class Plane:
     guess : Guess
     held : Held, optional
         Which array of containers.
+    raw : Raw, optional
+        What files of bare numbers hold.
     """
 
     template: Template
     samples: tuple[Sample, ...]
     guess: Guess
     held: Held | None = None
+    raw: Raw | None = None
 
     @property
     def pattern(self) -> str:
@@ -116,6 +122,8 @@ def examined(survey: Survey) -> Examination:
             _add_images(found, template)
         else:
             _add_other(found, template)
+    for template in [t for t in (*found.others, *found.clouds) if t.ending in BARE]:
+        _add_bare(found, template)
     found.planes.sort(key=lambda plane: plane.name)
     return found
 
@@ -147,6 +155,21 @@ def _add_images(found: Examination, template: Template) -> None:
             found.problems.append(f"{template.pattern}: files of different types in one pattern")
     else:
         _add_other(found, template, problems)
+
+
+def _add_bare(found: Examination, template: Template) -> None:
+    """Tell files of bare numbers as images, where they are as large as the others."""
+    sizes = {plane.samples[0].size: None for plane in found.planes if plane.raw is None}
+    paths = [found.survey.root / member.path for member in some_of(template.members)]
+    raw = bare_layout(paths, sizes)
+    samples = [] if raw is None else bare_samples(paths, raw)
+    if samples:
+        guess = guessed(template.pattern, samples)
+        guess = replace(guess, evidence=(*guess.evidence, "bare numbers, as many as pixels"))
+        found.planes.append(Plane(template, tuple(samples), guess, raw=raw))
+        for others in (found.others, found.clouds):
+            if template in others:
+                others.remove(template)
 
 
 def _add_arrays(found: Examination, template: Template) -> bool:

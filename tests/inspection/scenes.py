@@ -267,6 +267,14 @@ def stanford(root: Path) -> None:
         save(root / f"area_1/data/depth/{name}depth.png", raw)
 
 
+def bare_numbers(root: Path) -> None:
+    for k in range(FRAMES):
+        color, depth = street(k)
+        save(root / f"color/{k}.png", color)
+        (root / "depth").mkdir(exist_ok=True)
+        units(depth, 1000).tofile(root / f"depth/{k}.bin")
+
+
 CARLA = 1000 / (256**3 - 1)
 
 KINDS: dict[Callable[[Path], None], dict[str, Any]] = {
@@ -288,6 +296,7 @@ KINDS: dict[Callable[[Path], None], dict[str, Any]] = {
     nameless: {"scale_m": 1 / 256},
     centimetres: {"scale_m": 0.01},
     kinect_times_five: {"scale_m": 1 / 5000},
+    bare_numbers: {"scale_m": 0.001},
     kitti_selection: {"scale_m": 1 / 256},
     carla_16_bit: {"scale_m": 1000 / 65535},
     carla_normalised: {"scale_m": 1000.0},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,8 @@ class Truth:
         Half a unit of depth and of the store's, or what a step of disparity is at 30 m.
     split : mapping, optional
         As the description has it.
+    splits : tuple of int
+        Frames that the authors put into train, val and test.
     """
 
     seed: Callable[[str], int | None]
@@ -42,6 +45,7 @@ class Truth:
     atol: float = 0.002
     rtol: float = 0.0
     split: Any = None
+    splits: tuple[int, int, int] = (0, 0, 0)
 
 
 def _last(frame_id: str) -> int:
@@ -59,23 +63,39 @@ def _by_order(*parts: str) -> Callable[[str], int]:
 
 
 FOLDERS = {"of": "{split}"}
+LISTS = {"train": "train.txt", "test": "test.txt"}
 TRUTHS: dict[str, Truth] = {
-    "orfd": Truth(lambda i: (_last(i) - 1623721491895) // 100, 8, 4, atol=0.005, split=FOLDERS),
+    "orfd": Truth(
+        lambda i: (_last(i) - 1623721491895) // 100, 8, 4, 0.005, split=FOLDERS, splits=(4, 2, 2)
+    ),
     "cityscapes": Truth(
-        _by_order("aachen", "bochum", "frankfurt", "berlin"), 8, 4, rtol=0.003, split=FOLDERS
+        _by_order("aachen", "bochum", "frankfurt", "berlin"),
+        8,
+        4,
+        rtol=0.003,
+        split=FOLDERS,
+        splits=(4, 2, 2),
     ),
     "kitti_semantics": Truth(
-        lambda i: _last(i) if "training" in i else None, 6, rtol=0.003, split=FOLDERS
+        lambda i: _last(i) if "training" in i else None,
+        6,
+        rtol=0.003,
+        split=FOLDERS,
+        splits=(3, 0, 3),
     ),
     "vkitti2": Truth(_last, 24, 2, atol=0.011),
-    "r2d": Truth(_by_order("Town02", "Town03", "Town01", "Town06"), 8, 4, split=FOLDERS),
-    "nyuv2_nicr": Truth(_last, 4, split=FOLDERS),
+    "r2d": Truth(
+        _by_order("Town02", "Town03", "Town01", "Town06"), 8, 4, split=FOLDERS, splits=(4, 2, 2)
+    ),
+    "nyuv2_nicr": Truth(_last, 4, split=FOLDERS, splits=(3, 0, 1)),
     "sunrgbd": Truth(
         lambda i: next(k for k, n in enumerate(("kv1", "kv2", "realsense", "xtion")) if n in i), 4
     ),
     "scannet": Truth(_last, 4, 2),
     "tum": Truth(lambda i: round((float(i) - 1305031102.1753) * 30), 4),
-    "drno": Truth(_last, 3, split={"lists": {"train": "train.txt", "test": "test.txt"}}),
+    "drno": Truth(
+        _last, 3, split={"lists": {"train": "train.txt", "test": "test.txt"}}, splits=(2, 0, 1)
+    ),
 }
 
 
@@ -89,7 +109,9 @@ def test_what_is_written_reads_as_the_layout_was_made(
     assert found.description.get("split") == truth.split
     reader = FolderReader(root, description_from_document(found.description, name))
     assert len(reader.ids) == truth.frames
-    assert found.description.get("group") == ("{scene}" if truth.groups else None)
+    assert len({reader.group(i) for i in reader.ids} - {""}) == truth.groups
+    splits = Counter(reader.fixed_split(i) for i in reader.ids)
+    assert tuple(splits[name] for name in ("train", "val", "test")) == truth.splits
     for frame_id in reader.ids:
         seed, depth = truth.seed(frame_id), reader.read(frame_id).depth_m
         if seed is None:
@@ -137,6 +159,7 @@ KNOWN = [
     scenes.swapped,
     scenes.nameless,
     scenes.centimetres,
+    scenes.bare_numbers,
 ]
 
 
