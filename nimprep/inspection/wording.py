@@ -7,7 +7,7 @@ from typing import Any
 from nimprep.inspection.kinds import Kind
 from nimprep.text import printable
 
-_MOST_ROWS = 16
+_MOST_ROWS = 12
 _MOST_LINES = 5
 
 
@@ -46,7 +46,8 @@ def _rows(patterns: list[dict[str, Any]]) -> list[str]:
         if row.get("range"):
             what.append("{:g} to {:g}".format(*row["range"]))
         what += row["evidence"]
-        lines.append(f"  {row['count']:>7} {_size(row['bytes']):>8}  {row['files']}")
+        key = f" [{row['key']}]" if "key" in row else ""
+        lines.append(f"  {row['count']:>7} {_size(row['bytes']):>8}  {row['files']}{key}")
         lines.append(f"{'':>19} {', '.join(what)}")
     if len(patterns) > _MOST_ROWS:
         lines.append(f"  and {len(patterns) - _MOST_ROWS} patterns more; --json lists them")
