@@ -107,19 +107,29 @@ def _warped(
 
 
 def registered_shape(places: Mapping[str, Place], description: Description) -> tuple[int, int]:
-    """Return the (height, width) that a frame's images are brought to, from headers alone."""
+    """Return the (height, width) that a frame's images are brought to, from headers alone.
+
+    Raises
+    ------
+    DecodeError
+        A header is damaged, or the frame lacks the image whose size is to be had.
+    """
     if isinstance(description.size, tuple):
         return description.size[1], description.size[0]
-    if description.size is None:
-        warped = description.depth is not None and description.depth.camera is not None
-        name = "depth" if "depth" in places and not warped else "rgb"
-        return _size(name, places, description)
-    if description.size not in places:
+    names = ["rgb"] if _is_warped(description) else ["depth", "rgb", *places]
+    first: str = next((name for name in names if name in places), "rgb")
+    wanted: str = first if description.size is None else description.size
+    if wanted not in places:
+        there = next(iter(places.values()))
         raise DecodeError(
-            f"{places['rgb'].path}: expected {description.size} beside it, to have its size, found "
-            "none; give --size rgb"
+            f"{there.path}: expected {wanted} beside it, to be brought to its size, found none; "
+            "give --size WxH, or leave such frames out by 'missing' in the description"
         )
-    return _size(description.size, places, description)
+    return _size(wanted, places, description)
+
+
+def _is_warped(description: Description) -> bool:
+    return description.depth is not None and description.depth.camera is not None
 
 
 def camera_of_sizes(
@@ -136,8 +146,7 @@ def camera_of_sizes(
         return camera
     if camera.size is not None:
         return replace(camera, scales=True)
-    warped = description.depth is not None and description.depth.camera is not None
-    names = ("rgb",) if warped else ("rgb", "depth")
+    names = ("rgb",) if _is_warped(description) else ("rgb", "depth")
     sizes = {name: _size(name, places, description) for name in names if name in places}
     if len(set(sizes.values())) > 1:
         said = ", ".join(f"{name} of {w}x{h}" for name, (h, w) in sizes.items())
@@ -145,6 +154,8 @@ def camera_of_sizes(
             f"{camera.where}: expected a camera that says its width and height, found none with "
             f"{said} pixels; give them in the file, or as the description's camera.for_size"
         )
+    if not sizes:
+        return camera
     return replace(camera, size=next(iter(sizes.values())), scales=True)
 
 

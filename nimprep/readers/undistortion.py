@@ -17,7 +17,7 @@ from nimprep.camera import Camera
 from nimprep.readers.distortion import Distortion
 
 _KEPT_PIXELS = 1 << 22
-"""Maps of images up to so many pixels are kept: 48 MiB each, two of them."""
+"""Maps of images up to so many pixels are kept: 36 MiB each, two of them."""
 
 _STEPS = 4096
 

@@ -169,6 +169,8 @@ LAYOUTS: dict[str, dict[str, Any]] = {
         "rgb": "{scene}/pylon_camera_node/{name}.jpg",
         "camera": "calibration/{scene}/camera_info.txt",
         "id": "{scene}/{name}",
+        # The fake's three lists name one frame.
+        "split": False,
     },
     "scannet": {
         "rgb": "scans/{scene}/color/{name}.jpg",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,11 @@ from nimprep.errors import ArrayError, CameraError, DecodeError, NimprepError
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.base import Reader
 from nimprep.readers.cameras import GivenCamera
+from nimprep.readers.description import CameraSource
+from nimprep.readers.description_file import description_from_file
 from nimprep.readers.distortion import Distortion
+from nimprep.readers.matching import Place
+from nimprep.readers.registration import registered_shape
 from nimprep.readers.resizing import resized_linear, resized_nearest
 from nimprep.readers.undistortion import pixel_map, rays
 from tests.fakes import write_png
@@ -353,3 +358,21 @@ def test_disparity_of_distorted_images_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CameraError, match="disparity of rectified images"):
         opened(tmp_path).read("0")
     assert opened(tmp_path, distortion="rectified").read("0").depth_m is not None
+
+
+@pytest.mark.parametrize("size", ["rgb", None])
+def test_a_frame_without_the_image_whose_size_it_is_to_have_is_refused(
+    tmp_path: Path, size: Any
+) -> None:
+    _, depth, _ = pinhole(96, 128)
+    there = {"depth": Place(tmp_path / "depth/0.png")}
+    write(tmp_path, pinhole(96, 128))
+    described = description_from_file(tmp_path / "d.json")
+    source = described.depth
+    assert source is not None
+    if size is None:
+        source = replace(source, camera=CameraSource(numbers=SIZED))
+    with pytest.raises(DecodeError, match=r"0\.png: expected rgb beside it"):
+        registered_shape(there, replace(described, size=size, depth=source))
+    assert registered_shape(there, replace(described, size=(7, 5))) == (5, 7)
+    assert registered_shape(there, described) == depth.shape
