@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from nimprep.inspection.arrangement import Arrangement, Part
 from nimprep.inspection.calibrations import Calibration
+from nimprep.inspection.camera_forms import camera_form
 from nimprep.inspection.examination import Examination
 from nimprep.inspection.kinds import Kind
 from nimprep.inspection.label_values import labels_of
@@ -58,7 +60,7 @@ def describe(found: Examination, made: Arrangement) -> Described:
         result.notes += labels.notes
     _add_thermal(made, document)
     if made.camera is not None:
-        document["camera"] = _camera(made, result)
+        document["camera"] = _camera(made, found.survey.root)
     if "scene" in placeholders and placeholders != ["scene"]:
         document["group"] = "{scene}"
     _add_split(found, made, document, placeholders, result)
@@ -132,17 +134,13 @@ def _add_thermal(made: Arrangement, document: dict[str, Any]) -> None:
             document["planes"] = {"thermal": {"files": made.thermal.files, "dtype": dtype, **which}}
 
 
-def _camera(made: Arrangement, result: Described) -> Any:
+def _camera(made: Arrangement, root: Path) -> Any:
     assert made.camera is not None
     says = made.camera.calibration
     camera: dict[str, Any] = {"files": made.camera_files}
-    numbers = {"fx", "fy", "cx", "cy", "width", "height", "baseline_m"}
-    plain = all(name == place for name, place in says.keys.items())
-    if says.keys and not plain:
-        camera["keys"] = {name: place for name, place in says.keys.items() if name in numbers}
-    elif says.key:
-        camera["key"] = says.key
-    if says.table:
+    if not says.table:
+        camera |= camera_form(root / made.camera.template.members[0].path, says)
+    else:
         camera["columns"] = [_column(name, made) for name in says.table]
     size = _size_meant(made, says)
     if size is not None:

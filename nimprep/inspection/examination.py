@@ -14,6 +14,7 @@ from nimprep.images import Raw
 from nimprep.inspection.bare_numbers import ENDINGS as BARE
 from nimprep.inspection.bare_numbers import bare_layout, bare_samples
 from nimprep.inspection.calibrations import ENDINGS, Calibration, calibration_in
+from nimprep.inspection.camera_forms import calibration_by_reader
 from nimprep.inspection.containers import CONTAINERS, Held, arrays_in, samples_of
 from nimprep.inspection.holdings import Holding, holding_at
 from nimprep.inspection.kinds import Kind
@@ -215,6 +216,9 @@ def _add_other(found: Examination, template: Template, problems: Iterable[str] =
     found.problems += problems
     if template.ending in ENDINGS or template.ending in (".lst", ""):
         calibration = calibration_in(path)
+        named = has_words(template.pattern, Kind.CAMERA) or template.ending in (".yaml", ".yml")
+        if named and (calibration is None or "fx" not in calibration.numbers):
+            calibration = calibration_by_reader(path) or calibration
         if calibration is not None and _may_be_camera(template, calibration):
             found.cameras.append(CameraFiles(template, calibration))
         else:

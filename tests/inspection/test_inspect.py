@@ -224,7 +224,7 @@ def test_scans_without_depth_images_are_said_to_be_left_out(tmp_path: Path) -> N
     assert "LiDAR scans are no depth images, and are left out" in found.notes
     assert found.description is not None
     assert "depth" not in found.description
-    assert found.description["camera"]["key"] == "P2"
+    assert found.description["camera"] == "sequences/{scene}/calib.txt"
 
 
 def test_a_mask_of_valid_depth_becomes_its_confidence(tmp_path: Path) -> None:
@@ -305,3 +305,33 @@ def test_arrays_of_hdf5_files_of_a_frame_each(tmp_path: Path) -> None:
     read = reader.read("train/00001").depth_m
     assert read is not None
     np.testing.assert_allclose(read, scenes.street(1, closer=4)[1], atol=1e-5)
+
+
+CAMERAS = {
+    "camera.yaml": "image_width: 96\nimage_height: 64\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+    "  data: [80.0, 0, 47.5, 0, 80.0, 20.0, 0, 0, 1]\n",
+    "camera.json": '{"intrinsic_matrix": [80.0, 0, 0, 0, 80.0, 0, 47.5, 20.0, 1]}',
+    "transforms.json": '{"fl_x": 80, "fl_y": 80, "cx": 47.5, "cy": 20, "w": 96, "h": 64}',
+    "cameras.txt": "# Camera list with one line of data per camera:\n"
+    "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 PINHOLE 96 64 80 80 48 20.5\n",
+    "intrinsics.txt": "80 0 47.5\n0 80 20\n0 0 1\n",
+    "settings.yaml": "%YAML:1.0\nCamera.fx: 80.0\nCamera.fy: 80.0\nCamera.cx: 47.5\n"
+    "Camera.cy: 20.0\nDepthMapFactor: 1000.0\n",
+    "calib.txt": "P0: 1 0 1 0 0 1 1 0 0 0 1 0\nP2: 80 0 47.5 0 0 80 20 0 0 0 1 0\n",
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_camera_files_are_told_by_what_is_in_them_and_read_by_the_description(
+    tmp_path: Path, name: str
+) -> None:
+    for k in range(2):
+        color, depth = scenes.street(k)
+        scenes.save(tmp_path / f"left/{k}.png", color)
+        scenes.save(tmp_path / f"depth/{k}.png", scenes.units(depth, 1000))
+    scenes.note(tmp_path / name, CAMERAS[name])
+    found = inspect_source(tmp_path)
+    assert found.description is not None
+    reader = FolderReader(tmp_path, description_from_document(found.description, "d"))
+    camera = reader.read("0").camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (80, 80, 47.5, 20)
