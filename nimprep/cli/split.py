@@ -17,7 +17,10 @@ from nimprep.splits import SPLIT_RULES, SplitRule
 )
 @click.option("--overwrite", is_flag=True, help="Replace the split file where it is there already.")
 @click.option(
-    "--import", "import_file", type=click.Path(path_type=Path), help="Split by this file."
+    "--import",
+    "import_file",
+    type=click.Path(path_type=Path),
+    help="Split by this file, or by a list such as train.txt and those beside it.",
 )
 @click.option(
     "--split-by",

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nimprep import __version__
-from nimprep.conversion.given_splits import split_files
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import DEPTHS, Records, UnitRecord, seal, unseal
 from nimprep.conversion.sources import FileState, changed_files
 from nimprep.errors import StoreError
 from nimprep.options import options_of
 from nimprep.readers.crop import Margins
+from nimprep.readers.given_splits import split_files
 from nimprep.store.storage import Storage
 
 PLAN = "plan.json"

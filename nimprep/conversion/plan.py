@@ -10,7 +10,6 @@ from typing import Any
 
 from nimprep import __version__
 from nimprep.conversion.doubted import doubts_of
-from nimprep.conversion.given_splits import given_splits
 from nimprep.conversion.journal import Journal, option_values, units_of
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import Records, depth_percentiles, source_digest
@@ -21,6 +20,7 @@ from nimprep.modality import MODALITIES, Modality, given_for
 from nimprep.plane import by_name, definition_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
+from nimprep.readers.given_splits import files_of_frames, given_splits
 from nimprep.schema import schema_problems
 from nimprep.splits import SPLITS, SplitName, SplitRule, assign_splits
 from nimprep.store.attributes import StoreAttributes
@@ -265,7 +265,7 @@ def split_rule(reader: Reader, options: ConvertOptions) -> SplitRule:
 def plan_splits(reader: Reader, options: ConvertOptions, ids: Sequence[str]) -> list[str]:
     """Return the split of each of these frames of the reader's."""
     if options.split_file is not None:
-        splits = given_splits(options.split_file, reader)
+        splits = given_splits(options.split_file, files_of_frames(reader))
         return [splits[i] for i in ids]
     none = of_no_split(reader, ids)
     groups = {i: reader.group(i) for i in ids if i not in none}

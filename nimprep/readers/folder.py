@@ -71,6 +71,8 @@ class FolderReader(ReaderBase):
         while without it implausible depth is refused.
     label_map : str, optional
         What raw labels mean, "0:0,255:1", in place of the description's map.
+    depth : bool
+        Whether to read depth; without, it need not be there.
     official : bool
         Keep the split of the dataset's authors; if not, frames without labels keep theirs alone.
 
@@ -93,6 +95,7 @@ class FolderReader(ReaderBase):
         distortion: DistortionRule | None = None,
         size: Size | None = None,
         official: bool = True,
+        depth: bool = True,
     ) -> None:
         self.root = Path(root)
         if not self.root.is_dir():
@@ -103,6 +106,8 @@ class FolderReader(ReaderBase):
         description = description if size is None else replace(description, size=size)
         self._description, self._scale = description, depth_scale
         check_scale_option(depth_scale, description.depth)
+        if not depth and "depth" not in (description.size,):
+            description = self._description = replace(description, depth=None)
         wanted = {name for name, _ in description.sources()} - (set() if labels else {"label"})
         matched = matched_frames(self.root, description, wanted)
         splits = official_splits(self.root, description, matched, kept=official)
@@ -114,6 +119,9 @@ class FolderReader(ReaderBase):
             self.root, description.camera, self._matched, camera, distortion
         )
         self._depth_cameras = self._cameras_of_depth(distortion)
+        of_depth = {} if self._depth_cameras is None else self._depth_cameras.lacking
+        lacking = {**of_depth, **self._cameras.lacking, **self._matched.lacking}
+        self._matched = replace(self._matched, lacking=lacking)
         nominal = (_NOMINAL_NOTE,) if self._cameras.origin == "nominal" else ()
         self.info = DatasetInfo(
             name=description.name,

@@ -24,7 +24,7 @@ _KEPT = 64
 
 
 class FrameCameras:
-    """Give the camera of each frame.
+    """Give the camera of each frame; `lacking` says of which there is none, as whole messages.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class FrameCameras:
     Raises
     ------
     LayoutError
-        A frame has no camera.
+        No frame has a camera.
     CameraError
         The file for all is no camera.
     """
@@ -59,6 +59,7 @@ class FrameCameras:
             source = replace(source, distortion=distortion)
         self._source = source or CameraSource()
         self._captured = matched.captured
+        self.lacking: Mapping[str, str] = {}
         self._files: Mapping[str, Path] = {}
         self._shared: tuple[Path, ...] = ()
         self._read: dict[Path, CameraNumbers | CameraTable] = {}
@@ -86,12 +87,16 @@ class FrameCameras:
             return None
         places = files_for(root, source.files, matched.captured)
         self._files = {frame_id: place.path for frame_id, place in places.items()}
-        if lacking := [i for i in matched.ids if i not in self._files]:
+        lacking = [i for i in matched.ids if i not in self._files]
+        if len(lacking) == len(matched.ids):
             raise LayoutError(
-                f"{root}: expected camera for every frame, found none for frame {lacking[0]!r} "
-                f"({len(lacking)} of {len(matched.ids)} frames lack one); check the pattern "
+                f"{root}: expected a camera of every frame, found none of any; check the pattern "
                 f"{source.files!r}"
             )
+        self.lacking = {
+            i: f"{root}: expected a camera of frame {i!r} like {source.files!r}, found none"
+            for i in lacking
+        }
         return None
 
     @property

@@ -49,6 +49,7 @@ def open_gmrp(
     distortion: DistortionRule | None = None,
     size: Size | None = None,
     official: bool = True,
+    depth: bool = True,
 ) -> FolderReader:
     """Open a folder in GMRP's layout.
 
@@ -68,4 +69,5 @@ def open_gmrp(
         distortion=distortion,
         size=size,
         official=official,
+        depth=depth,
     )

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from nimprep.errors import StoreError
-from nimprep.splits import SPLIT_CODES, SplitName, SplitRule, assign_splits, splits_from_file
+from nimprep.readers.given_splits import given_splits
+from nimprep.splits import SPLIT_CODES, SplitName, SplitRule, assign_splits
 from nimprep.store.attributes import PastSplit, Split, StoreAttributes
 from nimprep.store.checksums import chunk_checksum
 from nimprep.store.location import Place
@@ -35,7 +36,7 @@ def resplit(
     Parameters
     ----------
     split_file : path, optional
-        In place of a rule.
+        In place of a rule: a split file, or lists such as train.txt, by ids, as `convert` takes it.
     rule : {"frame", "group", "stratified", "eighth"}, optional
         None = the rule the store was split by last, or by frame where that was a file.
     seed : int
@@ -63,7 +64,7 @@ def _resplit(
     about = store.about
     check_changeable(about.format_version, str(store.path))
     if split_file is not None:
-        splits = splits_from_file(split_file, store.ids)
+        splits = given_splits(split_file, {i: (i,) for i in store.ids})
         described: Split = {"rule": "file"}
     else:
         fixed: dict[str, SplitName] = {

@@ -72,6 +72,25 @@ def test_lists_can_be_given(case: Callable[[str], Path], tmp_path: Path, given: 
     assert store.about.split == {"rule": "file"}
 
 
+def test_a_store_is_split_by_lists_too(case: Callable[[str], Path], tmp_path: Path) -> None:
+    root = case("14-")
+    lists = tmp_path / "lists"
+    lists.mkdir()
+    for path in (root / "b").glob("*.txt"):
+        path.rename(lists / path.name)
+    nimprep.convert(root / "b", tmp_path / "s.zarr", description=root / "b.json")
+    done = nimprep_run("split", tmp_path / "s.zarr", "--import", lists / "val.txt")
+    assert done.exit_code == 0, done.stderr
+    store = nimprep.open_store(tmp_path / "s.zarr")
+    assert splits(store) == RIGHT
+    assert store.about.split == {"rule": "file"}
+    (lists / "val.txt").write_text("rgb/nobody.png\n")
+    done = nimprep_run("split", tmp_path / "s.zarr", "--import", lists / "val.txt")
+    assert done.exit_code == 1
+    assert "val.txt: line 1: 'rgb/nobody.png' is neither id nor file" in done.stderr
+    assert splits(nimprep.open_store(tmp_path / "s.zarr")) == RIGHT
+
+
 def test_a_test_set_without_labels_is_255_and_said(
     case: Callable[[str], Path], tmp_path: Path
 ) -> None:

@@ -1,10 +1,12 @@
 import json
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from nimprep import convert
 from nimprep.errors import DecodeError, LayoutError, OptionError
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.base import Reader
@@ -168,11 +170,37 @@ def test_without_a_camera_the_nominal_one_is_taken(tmp_path: Path) -> None:
     assert described(root, path).info.calibration == "nominal"
 
 
-def test_a_frame_without_its_camera_file_is_named(tmp_path: Path) -> None:
+def test_a_frame_without_its_camera_file_is_a_bad_frame(tmp_path: Path) -> None:
     root, path = write_nyu_like(tmp_path / "nyu")
     (root / "camera" / "office" / "1.json").unlink()
-    with pytest.raises(LayoutError, match=r"expected camera for every frame.*'office/1'"):
+    reader = described(root, path)
+    assert "office/1" in reader.ids
+    for ask in (reader.sources, reader.shape, reader.read):
+        with pytest.raises(DecodeError, match=r"expected a camera of frame 'office/1' like 'cam"):
+            ask("office/1")
+    store = convert(root, tmp_path / "s.zarr", description=path, on_error="skip")
+    assert store.ids == ("kitchen/0", "kitchen/1", "office/0")
+    assert [frame["id"] for frame in store.about.skipped] == ["office/1"]
+
+
+def test_a_data_set_without_any_camera_file_is_refused(tmp_path: Path) -> None:
+    root, path = write_nyu_like(tmp_path / "nyu")
+    for file in (root / "camera").rglob("*.json"):
+        file.rename(file.with_suffix(".other"))
+    with pytest.raises(LayoutError, match="expected a camera of every frame, found none of any"):
         described(root, path)
+
+
+def test_depth_need_not_be_there_where_nothing_of_it_is_stored(tmp_path: Path) -> None:
+    root, path = write_nyu_like(tmp_path / "nyu")
+    shutil.rmtree(root / "depth")
+    options = {"description": path, "modalities": ("rgb", "label")}
+    assert len(convert(root, tmp_path / "s.zarr", **options)) == 4
+    gmrp = write_gmrp(tmp_path / "gmrp")
+    shutil.rmtree(gmrp / "depth_u16")
+    with pytest.warns(UserWarning, match="no calibration"):
+        store = convert(gmrp, tmp_path / "g.zarr", modalities=("rgb",))
+    assert store.modalities == ("rgb",)
 
 
 @pytest.mark.parametrize(

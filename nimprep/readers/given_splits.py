@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from nimprep.errors import DecodeError, SplitError
-from nimprep.readers import Reader
+from nimprep.readers.base import Reader
 from nimprep.readers.split_lists import (
     CALLED,
     ENDINGS,
@@ -16,11 +17,13 @@ from nimprep.readers.split_lists import (
 from nimprep.splits import splits_from_file
 
 
-def given_splits(path: Path | str, reader: Reader) -> dict[str, str]:
-    """Return the split of each of a reader's frames; "none" of those that are not named.
+def given_splits(path: Path | str, files: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return the split of each frame; "none" of those that are not named.
 
     Parameters
     ----------
+    files : mapping of frame id to paths
+        Below the dataset's folder, with "/", as lists may name frames by; empty = by ids alone.
     path : path
         A split file (schemas/split.schema.json); or a list of a split's frames, called by it, such
         as train.txt, which those of the other splits lie beside; or the folder of the lists.
@@ -32,7 +35,7 @@ def given_splits(path: Path | str, reader: Reader) -> dict[str, str]:
     """
     path = Path(path)
     if not _are_lists(path):
-        return splits_from_file(path, reader.ids)
+        return splits_from_file(path, tuple(files))
     lists = lists_beside(path if path.is_dir() else path.parent)
     if not path.is_dir() and path not in [each for _, each in lists]:
         raise SplitError(
@@ -41,14 +44,14 @@ def given_splits(path: Path | str, reader: Reader) -> dict[str, str]:
         )
     if not lists:
         raise SplitError(f"{path}: expected lists such as train.txt, found none; add them")
-    listed = listed_splits(lists, FrameNames({i: _files(reader, i) for i in reader.ids}))
+    listed = listed_splits(lists, FrameNames(files))
     if listed.unknown:
         raise SplitError(
-            f"{listed.unknown[0]} is neither id nor file of any of the {len(reader.ids)} frames "
+            f"{listed.unknown[0]} is neither id nor file of any of the {len(files)} frames "
             f"({len(listed.unknown)} lines are like it): expected those alone, found another; "
             "check the list belongs to this dataset"
         )
-    return {i: listed.of_frame.get(i, "none") for i in reader.ids}
+    return {i: listed.of_frame.get(i, "none") for i in files}
 
 
 def split_files(path: Path) -> list[Path]:
@@ -68,6 +71,11 @@ def _are_lists(path: Path) -> bool:
         # Reading it says so.
         return False
     return path.suffix.lower() in ENDINGS and not json
+
+
+def files_of_frames(reader: Reader) -> dict[str, list[str]]:
+    """Return the files of each of a reader's frames, as `given_splits` takes them."""
+    return {frame_id: _files(reader, frame_id) for frame_id in reader.ids}
 
 
 def _files(reader: Reader, frame_id: str) -> list[str]:
