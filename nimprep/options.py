@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cache
 from math import isfinite
@@ -34,6 +35,8 @@ class Option:
     help: str = ""
     least: float | None = None
     most: float | None = None
+    # What to do where a value is more than the most, of the value.
+    beyond: Callable[[float], str] | None = None
     metavar: str | None = None
     # Whether it tells in the bytes of a store.
     counts: bool = True
@@ -61,7 +64,7 @@ class Option:
         if self.least is not None and not made >= self.least:
             raise self._wrong(f"{self.least:g} or more", made)
         if self.most is not None and not made <= self.most:
-            raise self._wrong(f"{self.most:g} or less", made)
+            raise self._wrong(f"{self.most:g} or less", made, self.step_beyond(made))
         return made
 
     def _made(self, value: Any) -> Any:
@@ -88,8 +91,12 @@ class Option:
             return f"one of {', '.join(self.choices)}"
         return next((said for kind, said in _SAID.items() if kind in self.types), "a value")
 
-    def _wrong(self, expected: str, found: Any) -> ArrayError:
-        return ArrayError(f"{self.name}: expected {expected}, found {found!r}")
+    def step_beyond(self, value: float) -> str:
+        """Return what to do where a value is more than the most, as the end of a message."""
+        return f"; {self.beyond(value)}" if self.beyond is not None else ""
+
+    def _wrong(self, expected: str, found: Any, step: str = "") -> ArrayError:
+        return ArrayError(f"{self.name}: expected {expected}, found {found!r}{step}")
 
 
 def option(default: Any, help: str = "", **said: Any) -> Any:  # noqa: A002

@@ -183,6 +183,10 @@ WRONG_TYPES = [
     ({"workers": "2"}, "workers: expected a whole number, found '2'"),
     ({"workers": True}, "workers: expected a whole number, found True"),
     ({"shard_length": 2.5}, r"shard_length: expected a whole number, found 2\.5"),
+    (
+        {"depth_scale": 5000},
+        r"depth_scale: expected 1000 or less, found 5000\.0; give metres per unit: 0\.0002, not",
+    ),
     ({"depth_scale": float("nan")}, "depth_scale: expected a finite number, found nan"),
     ({"noise": "0.1", "normals": "nim-edge"}, "noise: expected a finite number"),
     ({"codec": None}, "codec: expected one of fast, small, found None"),

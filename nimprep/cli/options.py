@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -103,6 +104,25 @@ def options_from(made: Any) -> Callable[[Command], Command]:
     return add
 
 
+class _Number(click.FloatRange):
+    """A number in bounds; what is beyond them is told what to do."""
+
+    def __init__(self, least: float | None, most: float | None, *, said: Option) -> None:
+        super().__init__(least, most)
+        self._said = said
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        try:
+            return float(super().convert(value, param, ctx))
+        except click.BadParameter as error:
+            number = click.FLOAT.convert(value, param, ctx)
+            if self.max is not None and self.max < number < math.inf:
+                error.message = error.message.rstrip(".") + self._said.step_beyond(number)
+            raise
+
+
 def _option(said: Option) -> Callable[[Command], Command]:
     """Return the option of a command that a field says."""
     name = said.name.replace("_", "-")
@@ -114,7 +134,7 @@ def _option(said: Option) -> Callable[[Command], Command]:
     bounds: Any = (said.least, said.most)
     kinds: dict[Any, Any] = {
         Path: click.Path(path_type=Path),
-        float: click.FloatRange(*bounds),
+        float: _Number(*bounds, said=said),
         int: click.INT if said.least is None else click.IntRange(*bounds),
     }
     kind = click.Choice(said.choices) if said.choices else None

@@ -16,6 +16,7 @@ TITLES = {
     "byte-order": "Bytes of depth swapped?",
     "rotated-bits": "Bits of depth rotated?",
     "eight-bits": "Depth of 8 bits?",
+    "saturated": "The largest value read as depth?",
     "disparity-name": "Disparity read as depth?",
     "grows-downwards": "Depth upside down, or disparity?",
     "sparse": "Depth without neighbours",
@@ -103,6 +104,9 @@ MULTIPLES_OF_8 = 0.99
 
 EIGHT_BITS = 255
 
+SATURATED = 0.01
+"""The share of the raw values."""
+
 ROW_CORRELATION = 0.4
 """Real depth has -0.96 to -0.49 in the lower half of the image, rendered objects 0.15 and 0.22,
 and disparity of the real frames, read as depth, 0.45 to 1."""
@@ -111,7 +115,7 @@ WITH_NEIGHBOURS = 0.5
 """Dense real depth has 0.99 or more, LiDAR as measured 0.00."""
 
 CAMERA_HEIGHT_M = (0.1, 3.0)
-"""Between a small robot's and a lorry's camera; on real frames 0.50 to 1.96."""
+"""From a small robot's to a lorry's; on real frames 0.50 to 1.96."""
 
 BEYOND_RANGE = 0.1
 """The share of the depth; 0.033 on a real frame with depth to 100 m."""
@@ -169,6 +173,16 @@ RULES: tuple[Rule, ...] = (
             "made for looking at; take the depth it was made of, or check its unit "
             "(--depth-scale)"
         ),
+    ),
+    Rule(
+        "saturated",
+        "at_most_raw",
+        lambda x: x >= SATURATED,
+        lambda x: (
+            f"{_percent(x)} of the raw depth values are the largest their type holds, and taken "
+            f'for depth; if it means none, name it as "invalid" {_DESCRIBE}'
+        ),
+        share=0,
     ),
     Rule(
         "disparity-name",

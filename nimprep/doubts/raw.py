@@ -48,18 +48,23 @@ def raw_signs(
     dict
         ``swapped_roughness``: the median difference of neighbouring values with their bytes
         swapped, as a multiple of that without; ``multiples_of_8``: the share of such values;
-        ``largest_raw``; ``disparity_name``: whether the name says disparity. What cannot be
-        measured is left out.
+        ``largest_raw``; ``at_most_raw``: the share of those that are the type's largest;
+        ``disparity_name``: whether the name says disparity. What cannot be measured is left out.
     """
     signs = {"disparity_name": float(_DISPARITY.search(name) is not None)}
-    if raw.dtype.kind not in "iu":
+    # Of images that have 8 bits and may, as disparity, these signs would be nothing new.
+    if raw.dtype.kind not in "iu" or raw.dtype.itemsize == 1:
         return signs
-    values = _valid_rows(raw, invalid)
+    named = _valid_rows(raw, invalid)
+    # Where it is a depth at all, it is one beside which no other can be measured.
+    values = named[named != np.iinfo(raw.dtype).max]
+    if named.size >= _LEAST_VALUES:
+        signs["at_most_raw"] = 1 - values.size / named.size
     if values.size < _LEAST_VALUES:
         return signs
     signs["multiples_of_8"] = float(np.count_nonzero(values & 7 == 0) / values.size)
     signs["largest_raw"] = float(values.max())
-    if raw.dtype.itemsize == 2 and raw.dtype.kind == "u":
+    if raw.dtype.itemsize == 2:
         signs |= _byte_signs(values.astype(np.uint16, copy=False))
     return signs
 
@@ -100,8 +105,6 @@ def _valid_rows(raw: npt.NDArray[Any], invalid: Iterable[float | Bounds]) -> npt
     some = values != 0
     if raw.dtype.kind == "i":
         some &= values > 0
-    # Where it is a depth at all, it is one beside which no other can be measured.
-    some &= values != np.iinfo(raw.dtype).max
     for each in invalid:
         first, last = each if isinstance(each, tuple) else (each, each)
         some &= ~(

@@ -112,6 +112,8 @@ def _refuse_array_layout(path: Path, layout: Layout, *, key: bool = False) -> No
     wrong["byte_order"] = layout.byte_order in ("little", "big")
     wrong["key"] = layout.key is not None and not key
     for name in (name for name, is_wrong in wrong.items() if is_wrong):
+        # What is neither says so by itself: a MATLAB 5 file, a zip file.
+        read_header(path, PLAIN)
         raise DecodeError(
             f"{path}: expected an array, as the description's {name!r} says, found an image file; "
             f"leave {name!r} out"
@@ -133,6 +135,13 @@ def _array(kind: _Kind, path: Path, layout: Layout) -> tuple[ArrayHeader, str, I
         raise DecodeError(
             f"{path}: expected integers or floating numbers, found {found.dtype}; "
             "save the plane that counts"
+        )
+    order = {"little": "<", "big": ">"}.get(layout.byte_order or "")
+    if kind != "raw" and order and found.dtype.newbyteorder(order) != found.dtype:
+        raise DecodeError(
+            f"{path}: expected {layout.byte_order}-endian numbers, as the description's "
+            "'byte_order' says, found a file that says the other; leave 'byte_order' out, or give "
+            '"swapped" where the file is wrong'
         )
     axes = checked_axes(found.shape, axes, path)
     return found, axes, array_header(found.shape, found.dtype, axes, path)

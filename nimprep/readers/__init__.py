@@ -15,7 +15,7 @@ from nimprep.kitti.names import DepthFrom, Target
 from nimprep.options import Options, documented, option, options_of
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
 from nimprep.readers.cameras import camera_from, numbers_of
-from nimprep.readers.description import DistortionRule, Size
+from nimprep.readers.description import MOST_SCALE_M, DistortionRule, Size, metres_per_unit
 from nimprep.readers.nearby import nearby_dataset
 from nimprep.readers.resizing import size_from
 
@@ -51,7 +51,11 @@ class ReaderOptions(Options):
         metavar="rgb|depth|WxH",
     )
     depth_scale: float | None = option(
-        None, "Metres per raw depth unit: 0.001 for millimetres, not 1000.", least=1e-9, most=1000
+        None,
+        "Metres per raw depth unit: 0.001 for millimetres, not 1000.",
+        least=1e-9,
+        most=MOST_SCALE_M,
+        beyond=metres_per_unit,
     )
     label_map: str | None = option(
         None, "Raw label values, ranges or colours to class ids: 0:0,128-255:1,#ff0000:2."

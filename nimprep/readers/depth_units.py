@@ -19,7 +19,7 @@ import numpy.typing as npt
 from nimprep.depth import checked_depth
 from nimprep.errors import ArrayError, CameraError, DecodeError
 from nimprep.readers.cameras import GivenCamera
-from nimprep.readers.description import DepthSource
+from nimprep.readers.description import DepthSource, metres_per_unit
 
 PLAUSIBLE_MEDIAN_M = (0.05, 100.0)
 """A frame whose median depth lies outside this range, metres, is in another unit."""
@@ -109,7 +109,7 @@ class Unit:
         """Return what to do where the unit is plainly another."""
         plain = self.source.in_metres
         if plain and self.scale >= MISTAKEN_SCALE_M:
-            return f"give metres per unit: {1 / self.scale:g}, not {self.scale:g}"
+            return metres_per_unit(self.scale)
         if plain:
             return "give the right one with --depth-scale"
         return "mend the description's depth"

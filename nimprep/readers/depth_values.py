@@ -40,10 +40,25 @@ def raw_depth(place: Place, source: DepthSource) -> npt.NDArray[Any]:
     return unpacked_depth(read_plane(place.path, layout, place.index), source, place.path)
 
 
+_OF_METRES = frozenset({"multiples_of_8", "largest_raw", "at_most_raw"})
+"""Signs that disparity may well have: sixteenths of a pixel, and small or saturated values."""
+
+
 def checked_raw_signs(
-    raw: npt.NDArray[Any], place: Place, source: DepthSource, root: Path
+    raw: npt.NDArray[Any],
+    place: Place,
+    source: DepthSource,
+    root: Path,
+    scale_m: float | None = None,
 ) -> dict[str, float]:
     """Return the signs of raw values (`nimprep.doubts.raw`): the certain ones are refused.
+
+    Parameters
+    ----------
+    root : Path
+        The dataset's folder.
+    scale_m : float, optional
+        In place of the description's.
 
     Raises
     ------
@@ -55,7 +70,17 @@ def checked_raw_signs(
     name = below.as_posix() if source.in_metres else ""
     signs = raw_signs(raw, source.invalid, name)
     check_byte_order(signs, place.path, swapped=source.byte_order == "swapped")
+    if not source.in_metres:
+        return {name: value for name, value in signs.items() if name not in _OF_METRES}
+    if "at_most_raw" in signs and _bounded(np.iinfo(raw.dtype).max, source, scale_m):
+        del signs["at_most_raw"]
     return signs
+
+
+def _bounded(largest: int, source: DepthSource, scale_m: float | None) -> bool:
+    """Tell whether the description says what becomes of the largest raw value as metres."""
+    most = source.clip_m if source.range_m[1] is None else source.range_m[1]
+    return most is not None and largest * (scale_m or source.scale) + source.offset > most
 
 
 def depth_image(
@@ -118,7 +143,7 @@ def _limited(metres: npt.NDArray[Any], source: DepthSource) -> npt.NDArray[Any]:
     """Return depth without what lies outside the described range, cut to what it is clipped at."""
     low, high = source.range_m
     if low is not None:
-        metres = np.where((metres > 0) & (metres < low), 0, metres)
+        metres = np.where(metres < low, 0, metres)
     if high is not None:
         metres = np.where(metres > high, 0, metres)
     if source.clip_m is not None:

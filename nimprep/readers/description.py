@@ -13,6 +13,9 @@ from nimprep.frame import LabelClass
 from nimprep.images import Layout, OrientationRule, Raw
 from nimprep.splits import SplitName
 
+MOST_SCALE_M = 1000
+"""The largest scale_m of the schema: metres of numbers from 0 to 1, to the far plane."""
+
 Missing = Literal["error", "skip", "none"]
 """What a frame is that lacks a file: bad, left out, or one that has none."""
 
@@ -272,6 +275,11 @@ class Description:
         if self.label is not None:
             yield "label", self.label
         yield from self.planes.items()
+
+
+def metres_per_unit(scale: float) -> str:
+    """Return what to do where a scale counts units per metre, as other programs have it."""
+    return f"give metres per unit: {1 / scale:g}, not {scale:g}"
 
 
 CONFIDENCE = "depth confidence"

@@ -11,6 +11,7 @@ from nimprep.errors import LayoutError
 from nimprep.frame import LabelClass
 from nimprep.images import OrientationRule, Raw
 from nimprep.readers.description import (
+    MOST_SCALE_M,
     CameraSource,
     ColorSource,
     DepthSource,
@@ -21,12 +22,10 @@ from nimprep.readers.description import (
     Match,
     PlaneSource,
     SplitSource,
+    metres_per_unit,
 )
 from nimprep.readers.label_map import check_classes, with_map
 from nimprep.schema import check_json, read_json
-
-MOST_SCALE_M = 1000
-"""The largest scale_m of the schema."""
 
 _SCALES = {
     "depth": ("scale_m", "offset_m"),
@@ -104,16 +103,13 @@ def _oriented(description: Description, rule: OrientationRule) -> Description:
 
 
 def _refuse_units_per_metre(document: Any, where: str) -> None:
-    """Raise `LayoutError` where a scale plainly counts units per metre, as other programs have it.
-
-    Up to `MOST_SCALE_M` it may be metres: of numbers from 0 to 1, the far plane.
-    """
+    """Raise `LayoutError` where a scale plainly counts units per metre."""
     depth = document.get("depth") if isinstance(document, dict) else None
     scale = depth.get("scale_m") if isinstance(depth, dict) else None
     if isinstance(scale, (int, float)) and MOST_SCALE_M < scale < 1e9:
         raise LayoutError(
             f"{where}: expected metres per unit as scale_m, found {scale:g}; "
-            f"give metres per unit: {1 / scale:g}, not {scale:g}"
+            f"{metres_per_unit(scale)}"
         )
 
 
@@ -191,6 +187,13 @@ def _check_depth(document: Mapping[str, Any], values: str, where: str) -> None:
         "four channels as float32": document.get("bytes_as") == "float32" and len(packed) != 4,
         "each channel once in 'bytes'": len(set(packed)) != len(packed),
     }
+    ranges = [document.get("range_m"), *document.get("invalid", [])]
+    for ends in (ends for ends in ranges if isinstance(ends, list) and None not in ends):
+        if ends[0] > ends[1]:
+            raise LayoutError(
+                f"{where}: expected a range from less to more in 'depth', found {ends}; "
+                "turn it around"
+            )
     for expected in (expected for expected, is_wrong in wrong.items() if is_wrong):
         found = {"values": values} | {n: document[n] for n in ("bytes", "channel") if n in document}
         raise LayoutError(f"{where}: expected {expected} of depth, found {found}; mend the two")

@@ -262,7 +262,7 @@ class FolderReader(ReaderBase):
             images["rgb"] = color_image(places["rgb"], described.rgb)
         if "depth" in places and described.depth is not None:
             raw = raw_depth(places["depth"], described.depth)
-            signs = checked_raw_signs(raw, places["depth"], described.depth, self.root)
+            signs = checked_raw_signs(raw, places["depth"], described.depth, self.root, self._scale)
             images["depth"] = depth_image(
                 places["depth"],
                 described.depth,

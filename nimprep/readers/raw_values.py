@@ -93,18 +93,20 @@ def _rotated(plane: npt.NDArray[Any], bits: int, path: Path) -> npt.NDArray[np.u
 def named_none(raw: npt.NDArray[Any], source: DepthSource) -> npt.NDArray[np.bool_]:
     """Return which raw numbers mean that there is none: 0, and those that the description names."""
     none: npt.NDArray[np.bool_] = raw == 0
-    for value in source.invalid:
-        if not isinstance(value, tuple):
-            if value != 0:
-                none |= raw == value
-            continue
-        low, high = value
-        inside = np.ones(raw.shape, np.bool_)
-        if low is not None:
-            inside &= raw >= low
-        if high is not None:
-            inside &= raw <= high
-        none |= inside
+    # A bound that the type cannot hold, 1e6 of float16, is infinity there.
+    with np.errstate(over="ignore"):
+        for value in source.invalid:
+            if not isinstance(value, tuple):
+                if value != 0:
+                    none |= raw == value
+                continue
+            low, high = value
+            inside = np.ones(raw.shape, np.bool_)
+            if low is not None:
+                inside &= raw >= low
+            if high is not None:
+                inside &= raw <= high
+            none |= inside
     if np.issubdtype(raw.dtype, np.floating):
         none |= ~np.isfinite(raw)
     return none

@@ -100,6 +100,12 @@ def test_a_wrong_call_exits_2(gmrp: Path, tmp_path: Path, arguments: tuple[str, 
     assert not (tmp_path / "s.zarr").exists()
 
 
+def test_a_scale_that_counts_units_per_metre_is_told(gmrp: Path, tmp_path: Path) -> None:
+    done = run("convert", gmrp, tmp_path / "s.zarr", "--depth-scale", "5000")
+    assert done.exit_code == 2
+    assert done.stderr.endswith("<=1000; give metres per unit: 0.0002, not 5000\n")
+
+
 def damaged(root: Path, folder: str, data: bytes) -> None:
     (root / folder / "000002.png").write_bytes(data)
 

@@ -25,6 +25,7 @@ DOUBTFUL = {
     "byte-order": ({"swapped_roughness": 0.25}, '4.0 times .*"byte_order": "swapped"'),
     "rotated-bits": ({"multiples_of_8": 1.0}, '^all of .*SUN RGB-D.*"rotate_right": 3'),
     "eight-bits": ({"largest_raw": 213.0}, "213 only, as those of an 8-bit image"),
+    "saturated": ({"at_most_raw": 0.03}, '^3% of the raw .* the largest .*"invalid"'),
     "disparity-name": ({"disparity_name": 1.0}, 'names.*"values": "disparity"'),
     "grows-downwards": ({"row_correlation": 0.91}, '0.91.*"values": "disparity"'),
     "sparse": ({"with_neighbours": 0.02}, "^2% .*few as of LiDAR.*--fill linear"),

@@ -89,3 +89,28 @@ def test_one_flat_wall_is_no_sign_of_swapped_bytes() -> None:
 )
 def test_names_that_say_disparity_are_told(name: str, disparity: int) -> None:
     assert raw_signs(rough_street(), name=name)["disparity_name"] == disparity
+
+
+def test_swapped_signed_numbers_are_refused_though_half_of_them_are_negative() -> None:
+    right = rough_street(500).astype(np.int16)
+    assert right.min() >= 0
+    check_byte_order(raw_signs(right), "")
+    with pytest.raises(DecodeError, match="byte_order"):
+        check_byte_order(raw_signs(right.byteswap()), "")
+
+
+@pytest.mark.parametrize("dtype", ["u2", "i2", "u4", "i4"])
+def test_the_share_of_the_largest_value_of_a_type_is_measured_unless_it_means_none(
+    dtype: str,
+) -> None:
+    raw = rough_street(500).astype(dtype)
+    assert raw_signs(raw)["at_most_raw"] == 0
+    most = np.iinfo(dtype).max
+    raw[:, ::4] = most
+    assert raw_signs(raw)["at_most_raw"] == pytest.approx(0.25, abs=0.05)
+    assert raw_signs(raw)["largest_raw"] < most
+    assert raw_signs(raw, [most])["at_most_raw"] == 0
+
+
+def test_an_image_that_has_8_bits_is_none_kept_in_16() -> None:
+    assert raw_signs(np.full((50, 50), 100, np.uint8)).keys() == {"disparity_name"}

@@ -178,6 +178,16 @@ def test_swapped_bytes_are_swapped_back(tmp_path: Path) -> None:
     check(tmp_path / "a.npy", Layout(byte_order="swapped"), MM)
 
 
+def test_an_array_that_says_another_byte_order_than_its_description_is_refused(
+    tmp_path: Path,
+) -> None:
+    for mark, said, other in (("<", "little", "big"), (">", "big", "little")):
+        np.save(tmp_path / "a.npy", MM.astype(f"{mark}u2"))
+        check(tmp_path / "a.npy", Layout(byte_order=said), MM)
+        with pytest.raises(DecodeError, match=f"expected {other}-endian .*leave 'byte_order' out"):
+            read_plane(tmp_path / "a.npy", Layout(byte_order=other))
+
+
 @pytest.mark.parametrize("kind", ["f2", "f4", "u4"])
 @pytest.mark.parametrize("name", ["Z", "Y", "anything"])
 def test_the_one_channel_of_an_exr_is_read_as_it_is(tmp_path: Path, kind: str, name: str) -> None:

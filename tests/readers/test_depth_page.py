@@ -57,3 +57,16 @@ def test_carla_s_highest_number_is_1000_m() -> None:
 def test_what_contradicts_itself_is_refused(said: dict[str, object], wanted: str) -> None:
     with pytest.raises(LayoutError, match=f"^a: expected {wanted} of depth, found .*; mend"):
         described(json.dumps({"files": "{id}.png", "scale_m": 0.001, **said}))
+
+
+@pytest.mark.parametrize("said", [{"range_m": [20, 0.3]}, {"invalid": [-1, [7, 5.0]]}], ids=str)
+def test_a_range_from_more_to_less_is_refused(said: dict[str, object]) -> None:
+    with pytest.raises(LayoutError, match=r"^a: expected a range from less to more in 'depth'"):
+        described(json.dumps({"files": "{id}.png", "scale_m": 0.001, **said}))
+
+
+def test_invalid_values_are_those_that_float32_and_uint32_can_have() -> None:
+    most = float(np.finfo(np.float32).max)
+    invalid = [4294967295, 1e10, -most, [most, None]]
+    found = described(json.dumps({"files": "{id}.exr", "scale_m": 1, "invalid": invalid})).invalid
+    assert found == (4294967295, 1e10, -most, (most, None))

@@ -10,7 +10,12 @@ import pytest
 
 from nimprep.errors import CameraError, DecodeError, OptionError
 from nimprep.readers.cameras import GivenCamera, nominal_camera
-from nimprep.readers.depth_values import check_scale_option, depth_image, raw_depth
+from nimprep.readers.depth_values import (
+    check_scale_option,
+    checked_raw_signs,
+    depth_image,
+    raw_depth,
+)
 from nimprep.readers.description import DepthSource, PlaneSource
 from nimprep.readers.matching import Place
 from tests.fakes import write_png
@@ -140,6 +145,45 @@ def test_depth_outside_a_range_is_none_and_beyond_the_clip_is_cut(tmp_path: Path
     clipped = read(depth, tmp_path, clip_m=3.0)
     assert clipped[0, 0] == clipped[0, 1] == 0
     assert np.allclose(clipped[1:], np.minimum(depth[1:], 3), rtol=1e-6)
+
+
+def test_what_is_negative_lies_outside_a_range(tmp_path: Path) -> None:
+    depth = DEPTH_M.copy()
+    depth[0], depth[1] = -9999, 1e6
+    for least in (0, 0.3):
+        found = read(depth, tmp_path, range_m=(least, 100))
+        assert not found[:2].any()
+        assert (found[2:] > 0).all()
+    with pytest.raises(DecodeError, match="expected metres >= 0"):
+        read(depth, tmp_path, range_m=(None, 100))
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "u2", "u4"])
+def test_invalid_values_may_be_beyond_what_the_type_holds(tmp_path: Path, dtype: str) -> None:
+    raw = np.rint(DEPTH_M * 10).astype(dtype)
+    raw[0] = 60_000
+    invalid = (1e6, 10**38, -1e38, (50_000, 3e38), (10**38, None), (None, -(10**38)))
+    found = read(raw, tmp_path, scale=0.1, invalid=invalid)
+    assert not found[0].any()
+    assert (found[1:] > 0).all()
+
+
+def test_signs_of_metres_are_none_of_disparity(tmp_path: Path) -> None:
+    raw = np.full((40, 40), 65535, np.uint16)
+    raw[:, ::2] = 16 * (1 + np.arange(40))[:, None]
+    place = Place(tmp_path / "a.png")
+
+    def kinds(**described: Any) -> set[str]:
+        source = DepthSource(files="a.png", **described)
+        return set(checked_raw_signs(raw, place, source, tmp_path))
+
+    of_metres = {"multiples_of_8", "largest_raw", "at_most_raw"}
+    assert of_metres <= kinds()
+    assert not of_metres & kinds(values="disparity", scale=1 / 256, offset=0.0)
+    # What a range or a clip makes of the largest value has been said.
+    for said in ({"range_m": (None, 65)}, {"clip_m": 8.0}):
+        assert "at_most_raw" not in kinds(**said)
+        assert "at_most_raw" in kinds(**said, scale=0.0001)
 
 
 def test_rotated_bits_are_turned_back_in_either_16_bit_type(tmp_path: Path) -> None:
