@@ -294,3 +294,15 @@ def test_a_file_without_its_extra_says_what_to_install(
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(DecodeError, match=rf"found none; .* pip install 'nimprep\[{extra}\]'"):
         read_plane(tmp_path / name)
+
+
+@pytest.mark.parametrize("layout", [Layout(key="depth"), Layout(axes="HWN"), Layout(key="a/b")])
+def test_a_file_that_is_neither_array_nor_image_says_what_it_is(
+    tmp_path: Path, layout: Layout
+) -> None:
+    path = tmp_path / "m.mat"
+    path.write_bytes(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(200))
+    with pytest.raises(
+        DecodeError, match=r"found a MATLAB 5 file, .*; save it by save\(..., '-v7.3'"
+    ):
+        read_plane(path, layout)
