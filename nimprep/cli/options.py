@@ -118,9 +118,10 @@ class _Number(click.FloatRange):
             return float(super().convert(value, param, ctx))
         except click.BadParameter as error:
             number = click.FLOAT.convert(value, param, ctx)
-            if self.max is not None and self.max < number < math.inf:
-                error.message = error.message.rstrip(".") + self._said.step_beyond(number)
-            raise
+            if self.max is None or not self.max < number < math.inf:
+                raise
+            said = error.message.rstrip(".") + self._said.step_beyond(number)
+            raise click.BadParameter(said, ctx, param) from error
 
 
 def _option(said: Option) -> Callable[[Command], Command]:

@@ -136,10 +136,14 @@ def _array(kind: _Kind, path: Path, layout: Layout) -> tuple[ArrayHeader, str, I
             f"{path}: expected integers or floating numbers, found {found.dtype}; "
             "save the plane that counts"
         )
-    order = {"little": "<", "big": ">"}.get(layout.byte_order or "")
-    if kind != "raw" and order and found.dtype.newbyteorder(order) != found.dtype:
+    said = layout.byte_order
+    if (
+        kind != "raw"
+        and (said == "little" or said == "big")
+        and found.dtype.newbyteorder(said) != found.dtype
+    ):
         raise DecodeError(
-            f"{path}: expected {layout.byte_order}-endian numbers, as the description's "
+            f"{path}: expected {said}-endian numbers, as the description's "
             "'byte_order' says, found a file that says the other; leave 'byte_order' out, or give "
             '"swapped" where the file is wrong'
         )
