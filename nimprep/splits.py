@@ -27,6 +27,14 @@ SPLITS: dict[str, SplitName] = {"train": "train", "val": "val", "test": "test"}
 
 SPLIT_NAMES: dict[int, str] = {code: name for name, code in SPLIT_CODES.items()}
 
+_OF_CATEGORIES = frozenset({"kitti-road"})
+"""Datasets whose groups are kinds of place, which each split is to have, and not scenes."""
+
+
+def are_categories(dataset: str, rule: str) -> bool:
+    """Return whether a dataset's groups are categories, which may stand in several splits."""
+    return rule == "eighth" or dataset in _OF_CATEGORIES
+
 
 def held_out_count(total: int) -> int:
     """Return the size of val, and of test: min(ceil(0.15 N), floor(N / 3))."""

@@ -3,7 +3,7 @@
     python scripts/check_examples.py    # needs pyright: pip install 'pyright[nodejs]'
 
 Each block of Python in README.md and docs/*.md is a module of its own, after names that its page
-takes as given. Blocks with a title are files of the package, which mypy checks.
+takes as given. Blocks whose title has a folder are files of the package, which mypy checks.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
+BLOCK = re.compile(r"^```python(?: title=\"[^/\"]*\")?\n(.*?)^```", re.M | re.S)
 GIVEN = {
     "nimprep": "import nimprep",
     "depth_m": "depth_m = np.ones((4, 6), np.float32)",
@@ -24,6 +24,7 @@ GIVEN = {
     "RD": "RD = np.ones((4, 6), np.float32)",
     "store": 'store = nimprep.open_store("out.zarr")',
     "frame": "frame = store[0]",
+    "network": "import torch\nnetwork = torch.nn.Bilinear(3, 3, 2)",
 }
 """Names that examples use without saying where they come from."""
 

@@ -11,7 +11,6 @@ from click.testing import CliRunner
 
 import nimprep
 from nimprep.cli import main
-from nimprep.torch import StoreDataset, StoreLoader
 from tests.fakes import write_gmrp
 from tests.kitti.scenes import write_whole_benchmark
 from tests.test_layers import LAYERS
@@ -75,19 +74,18 @@ def test_the_readmes_way_from_kittis_folder_to_the_zip_runs(
     write_whole_benchmark(tmp_path / "data_road", parts=("image_2", "calib", "depth_u16"))
     monkeypatch.chdir(tmp_path)
 
-    class Network:
-        """Say "road" to the extent that a pixel is red, and see that only padding is cut off."""
+    class Network(torch.nn.Module):
+        """Say "road" to the extent that a pixel is red, as one with two encoders."""
 
-        def __call__(self, inputs: torch.Tensor) -> torch.Tensor:
-            return torch.stack([1 - inputs[:, 0], 1 + inputs[:, 0]], dim=1)
+        def forward(self, rgb: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+            assert not self.training
+            assert normal.shape == rgb.shape
+            return torch.stack([1 - rgb[:, 0], 1 + rgb[:, 0]], dim=1)
 
     printed = []
     for kind, code in blocks:
         if kind == "python":
-            exec(
-                code,
-                {"StoreDataset": StoreDataset, "StoreLoader": StoreLoader, "network": Network()},
-            )
+            exec(code, {"network": Network()})
             continue
         for line in code.splitlines():
             command, *arguments = shlex.split(line, comments=True)

@@ -108,8 +108,9 @@ def _read_scores(path: Path, classes: int) -> npt.NDArray[np.floating]:
     if not np.issubdtype(scores.dtype, np.floating):
         raise DecodeError(f"{path}: expected floating scores, found {scores.dtype}")
     if scores.ndim != 3 or scores.shape[0] != classes:
+        road = "; nimprep kitti evaluate scores maps of the road alone" if scores.ndim == 2 else ""
         raise DecodeError(
-            f"{path}: expected scores ({classes}, H, W), one per class, found {scores.shape}"
+            f"{path}: expected scores ({classes}, H, W), one per class, found {scores.shape}{road}"
         )
     if not 0 < scores.shape[1] * scores.shape[2] <= MAX_PIXELS:
         raise DecodeError(

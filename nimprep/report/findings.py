@@ -13,7 +13,7 @@ from nimprep.doubts.judge import TITLES
 from nimprep.report.collect import Collected
 from nimprep.report.hashes import BITS, NEAR, nearest
 from nimprep.report.pictures import BACKGROUND
-from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
+from nimprep.splits import SPLIT_CODES, SPLIT_NAMES, are_categories
 from nimprep.store.reader import Store
 from nimprep.store.statistics import ROWS
 
@@ -74,7 +74,8 @@ def find(store: Store, facts: Collected) -> list[Finding]:
 
 def checks(store: Store) -> list[str]:
     """Return what `find` looks for in this store, in words."""
-    named = ["signs of a wrong reading", "frames left out", "train and test frames of one scene"]
+    named = ["signs of a wrong reading", "frames left out"]
+    named += [] if _of_categories(store) else ["train and test frames of one scene"]
     if "rgb" in store.modalities:
         named += ["near-duplicates across splits", "flat colour images"]
     if "depth" in store.modalities:
@@ -82,6 +83,10 @@ def checks(store: Store) -> list[str]:
     if "label" in store.modalities:
         named += ["frames and splits without a class", "labels of no class"]
     return named
+
+
+def _of_categories(store: Store) -> bool:
+    return are_categories(store.about.dataset, str(store.about.split["rule"]))
 
 
 def _numbers(mask: npt.NDArray[np.bool_]) -> tuple[int, ...]:
@@ -122,6 +127,8 @@ def _left_out(store: Store) -> Iterator[Finding]:
 
 def _shared_scenes(store: Store) -> Iterator[Finding]:
     """Yield scenes in train and in val or test; less of a doubt where the authors split so."""
+    if _of_categories(store):
+        return
     of_scene: dict[str, set[int]] = {}
     for group, code in zip(store.tables.group, store.tables.split, strict=True):
         if group:

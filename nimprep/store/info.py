@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nimprep.doubts.judge import sentence
-from nimprep.splits import count_splits
+from nimprep.splits import are_categories, count_splits
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.reader import Store, open_store
 from nimprep.text import printable
@@ -106,7 +106,9 @@ def info_text(info: dict[str, Any]) -> str:
         margins = ", ".join(f"{side} {n}" for side, n in info["crop"].items())
         rows.append(("crop", f"{margins} pixels cut off"))
     if info["groups"]:
-        rows.append(("groups", f"{len(info['groups'])} scenes"))
+        categories = are_categories(info["dataset"], info["split"]["rule"])
+        kind = "categories" if categories else "scenes"
+        rows.append(("groups", f"{len(info['groups'])} {kind}"))
     if info["classes"]:
         rows.append(("classes", ", ".join(f"{c['id']} {c['name']}" for c in info["classes"])))
     if info["skipped"]:

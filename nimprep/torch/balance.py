@@ -36,19 +36,35 @@ def label_pixels(
     StoreError
         The store has no labels, or one is damaged.
     """
+    labels = _labels(store, merged)
+    stored = class_pixels_of(store)[indices, :-1].astype(np.int64)
+    pixels = np.zeros((len(indices), class_count(store, merged)), np.int64)
+    for column, label in enumerate(labels):
+        if label != IGNORE_LABEL:
+            pixels[:, label] += stored[:, column]
+    return pixels
+
+
+def class_count(store: Store, merged: npt.NDArray[np.uint8]) -> int:
+    """Return how many classes a network is to tell apart: the largest label that counts, plus 1.
+
+    Raises
+    ------
+    StoreError
+        The store has no labels.
+    """
+    return max((i for i in _labels(store, merged) if i != IGNORE_LABEL), default=-1) + 1
+
+
+def _labels(store: Store, merged: npt.NDArray[np.uint8]) -> list[int]:
+    """Return the label that each of the store's classes becomes."""
     ids = store.about.class_ids
     if not ids:
         raise StoreError(
             f"{store.path}: expected labels, found none; convert a dataset with labels"
         )
-    stored = class_pixels_of(store)[indices, :-1].astype(np.int64)
-    labels = merged[ids].tolist()
-    counted = [label for label in labels if label != IGNORE_LABEL]
-    pixels = np.zeros((len(indices), max(counted, default=0) + 1), np.int64)
-    for column, label in enumerate(labels):
-        if label != IGNORE_LABEL:
-            pixels[:, label] += stored[:, column]
-    return pixels
+    labels: list[int] = merged[ids].tolist()
+    return labels
 
 
 def class_weights(pixels: Counts, method: Weighting) -> Weights:

@@ -17,7 +17,7 @@ from nimprep.errors import ArrayError, StoreError
 from nimprep.splits import SPLIT_CODES, SplitName
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import Storage
-from nimprep.torch.balance import Weighting, class_weights, frame_weights, label_pixels
+from nimprep.torch.balance import Weighting, class_count, class_weights, frame_weights, label_pixels
 from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from
@@ -52,12 +52,13 @@ class StoreDataset(Dataset[dict[str, Any]]):
         What `nimprep convert` wrote; see `nimprep.open_store`.
     split : str, optional
         "train", "val" or "test"; None = all frames.
-    setup : str, optional
+    setup : str or tuple of str, optional
         One of `SETUPS`: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d; disparity,
         t-disparity, elevation, rgb+disparity, rgb+t-disparity, rgb+elevation, where the store has
         what they need; depth3, depth+mask, depth-minmax, tdisp, rgb+depth3, rgb+depth-minmax,
         rgb+tdisp: see `nimprep.torch.views`; and planes that the store has of its own, alone or
-        joined with others: thermal, rgb+thermal, rgb+d+thermal.
+        with others: ("thermal",), ("rgb", "thermal"), ("rgb", "d", "thermal"), or as one text
+        rgb+thermal, which type checkers do not know.
     fusion : bool
         Keep the setup's two modalities apart, as a pair, for a network with two encoders.
     modalities : sequence of str, optional
@@ -117,7 +118,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         self,
         path: Path | str | Storage,
         split: SplitName | Literal["none"] | None = "train",
-        setup: Setup | str | None = None,
+        setup: Setup | tuple[str, ...] | None = None,
         fusion: bool = False,
         transform: Transform | None = None,
         *,
@@ -177,6 +178,11 @@ class StoreDataset(Dataset[dict[str, Any]]):
         None = transforms draw anew whenever a sample is read, as before the first call.
         """
         self._epoch.fill_(_NOT_SAID if epoch is None else epoch)
+
+    @property
+    def num_classes(self) -> int:
+        """How many classes a network is to tell apart: the largest label, as merged, plus 1."""
+        return class_count(self.store, self.images.merged)
 
     def class_pixels(self) -> Tensor:
         """Return how many pixels of these frames each label has, (K,) int64.

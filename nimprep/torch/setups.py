@@ -117,7 +117,7 @@ class Selection:
 
 
 def select(
-    setup: Setup | str | None,
+    setup: Setup | tuple[str, ...] | None,
     *,
     fusion: bool = False,
     modalities: Sequence[str] | None = None,
@@ -127,9 +127,11 @@ def select(
 
     Parameters
     ----------
+    setup : str or tuple of str, optional
+        One of `SETUPS`, or of several parts: ("rgb", "thermal"), or as one text "rgb+thermal",
+        which type checkers do not know.
     planes : collection of str
-        The names of the store's own, which `modalities` may have too, and setups joined by "+":
-        "rgb+thermal".
+        The names of the store's own, which `modalities` may have too, and setups of several parts.
 
     Raises
     ------
@@ -143,7 +145,7 @@ def select(
         )
     if modalities is not None:
         return _own_mix(modalities, fusion, planes)
-    names = _named(str(setup), planes)
+    names = _named(setup if isinstance(setup, str) else "+".join(setup or ()), planes)
     if fusion and len(names) < 2:
         pairs = ", ".join(name for name, parts in SETUPS.items() if len(parts) == 2)
         raise ArrayError(f"fusion: expected a setup of two modalities ({pairs}), found {setup!r}")

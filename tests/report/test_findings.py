@@ -11,7 +11,10 @@ import nimprep
 from nimprep.report.collect import collect
 from nimprep.report.findings import Finding, checks, find
 from nimprep.report.gallery import order_of_interest
+from nimprep.splits import SplitRule
+from nimprep.store.info import info_text, store_info
 from nimprep.store.reader import Store
+from tests.kitti.scenes import road_folder
 
 from .stores import HEIGHT, WIDTH, Folder, gmrp_store, photograph
 
@@ -141,6 +144,19 @@ def test_near_duplicates_are_found_across_splits_but_not_within_one(folder: Fold
     assert finding.pairs == ((store.ids.index(two), store.ids.index(one)),)
     assert finding.frames == numbers(store, one, two)
     assert finding.severity == "problem"
+
+
+@pytest.mark.parametrize("split_by", ["eighth", "stratified"])
+def test_categories_are_no_scenes(tmp_path: Path, split_by: SplitRule) -> None:
+    names = tuple(f"{c}_{i:06d}" for c in ("um", "uu") for i in range(8))
+    road = road_folder(tmp_path / "road", names)
+    road_folder(road, ("um_000000",), "testing")
+    store = nimprep.convert(road, tmp_path / "a.zarr", modalities=("label",), split_by=split_by)
+    assert not {"shared-scene-test", "shared-scene-val"} & {
+        f.kind for f in find(store, collect(store))
+    }
+    assert "train and test frames of one scene" not in checks(store)
+    assert "2 categories" in info_text(store_info(store.path))
 
 
 def test_scenes_in_train_and_test_are_found(folder: Folder) -> None:

@@ -165,6 +165,8 @@ def test_merged_classes_are_counted_together(path: Path) -> None:
     pixels = counted(merged.store)[:, :-1].sum(axis=0)
     assert merged.class_pixels().tolist() == [0, pixels[0] + pixels[1]]
     assert merged.class_weights().tolist() == [0, 1]
+    assert merged.num_classes == 2
+    assert StoreDataset(path, None, "rgb").num_classes == len(merged.store.classes) == 3
 
 
 def test_without_labels_it_is_said(tmp_path: Path) -> None:

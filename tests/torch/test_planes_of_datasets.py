@@ -99,7 +99,8 @@ def test_setups_join_planes_with_others(store: Path) -> None:
     data = StoreDataset(store, None, "rgb+thermal")
     assert data[0]["inputs"].shape == (4, 24, 32)
     assert "rgb+thermal (4, H, W)" in repr(data)
-    first, second = StoreDataset(store, None, "rgb+thermal", fusion=True)[0]["inputs"]
+    assert StoreDataset(store, None, ("rgb", "thermal")).selection == data.selection
+    first, second = StoreDataset(store, None, ("rgb", "thermal"), fusion=True)[0]["inputs"]
     assert (first.shape[0], second.shape[0]) == (3, 1)
     every = StoreDataset(store, None, "rgb+d+nim-depth+thermal").selection.images
     assert every == ("rgb", "depth", "normal", "thermal")
