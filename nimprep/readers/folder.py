@@ -31,7 +31,7 @@ from nimprep.readers.frame_cameras import FrameCameras
 from nimprep.readers.label_map import map_from_text, with_map
 from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
-from nimprep.readers.matching import Place, formatted, group_of, matched_frames
+from nimprep.readers.matching import Place, check_group, formatted, group_of, matched_frames
 from nimprep.readers.missing import judged
 from nimprep.readers.official_splits import official_splits, without_labelled
 from nimprep.readers.orientation import orientation_signs
@@ -115,6 +115,7 @@ class FolderReader(ReaderBase):
         self._matched = judged(self.root, description, matched, splits.of_frame)
         self._splits = splits if official else without_labelled(splits, self._matched)
         self.ids = self._matched.ids
+        check_group(self.root, description, self._matched)
         self._cameras = FrameCameras(
             self.root, description.camera, self._matched, camera, distortion
         )
@@ -180,7 +181,9 @@ class FolderReader(ReaderBase):
         pattern = self._description.group
         if pattern is None or "{group}" in pattern:
             return group_of(frame_id, pattern)
-        return formatted(pattern, self._matched.captured[frame_id])
+        # Without a colour image it is a bad frame, whose other files may say less.
+        colored = frame_id in self._matched.places["rgb"]
+        return formatted(pattern, self._matched.captured[frame_id]) if colored else ""
 
     def fixed_split(self, frame_id: str) -> OfficialSplit | None:
         """Return the split the dataset's authors put the frame in."""

@@ -53,10 +53,15 @@ def label_image(
 def _raw(place: Place, source: LabelSource) -> npt.NDArray[Any]:
     """Return what the file holds: (H, W), or (H, W, C) R, G, B, A."""
     layout = source.layout
-    if source.colors is None and replace(layout, orientation="apply") == PLAIN:
+    if replace(layout, orientation="apply") == PLAIN and not (source.colors and not source.ranges):
         index = read_palette_index(place.path, layout.orientation)
-        if index is not None:
+        if index is not None and source.colors is None:
             return index
+        if index is not None:
+            raise DecodeError(
+                f"{place.path}: expected a map of either colours or values for an image with a "
+                "palette, found one of both; name colours alone, or values alone for its indices"
+            )
     return read_plane(place.path, layout, place.index)
 
 

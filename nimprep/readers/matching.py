@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from nimprep.errors import LayoutError
-from nimprep.readers.description import Description, PlaneSource
+from nimprep.readers.description import CONFIDENCE, Description, PlaneSource
 from nimprep.readers.found import Found, by_placeholders, found_images, only
 from nimprep.readers.found import Place as Place
 from nimprep.readers.pairing import paired
@@ -70,12 +71,14 @@ def matched_frames(root: Path, description: Description, wanted: Collection[str]
         if source is not description.rgb and name in wanted
     }
     pairing = paired(root, description, colors, others)
+    notes: list[str] = []
     for name, images in others.items():
         if name in pairing.places:
             places[name] = pairing.places[name]
             continue
         names = [n for n in images[0].values if n in known] if images else []
         places[name] = _joined(images, names, colors)
+        notes += _shared(root, name, places[name])
         if set(placeholders(template)) <= set(names):
             for frame_id, found in _alone(images, template, colors).items():
                 captured.setdefault(frame_id, found.values)
@@ -83,7 +86,7 @@ def matched_frames(root: Path, description: Description, wanted: Collection[str]
     ids = tuple(sorted(captured.keys() - pairing.left_out))
     if not ids:
         raise LayoutError(f"{root}: expected frames, found none: {'; '.join(pairing.notes)}")
-    return Matched(ids, places, captured=captured, notes=tuple(pairing.notes))
+    return Matched(ids, places, captured=captured, notes=(*pairing.notes, *notes))
 
 
 def _images(root: Path, source: PlaneSource, *, labels: bool) -> list[Found]:
@@ -133,6 +136,18 @@ def _joined(
     places = by_placeholders(images, names)
     keys = {i: tuple(found.values[name] for name in names) for i, found in colors.items()}
     return {i: only(places[key], i) for i, key in keys.items() if key in places}
+
+
+def _shared(root: Path, name: str, places: Mapping[str, Place]) -> Iterator[str]:
+    """Yield what is said of an image that several frames have, as they may have lost theirs."""
+    several = [place for place, n in Counter(places.values()).items() if n > 1]
+    if several and name != CONFIDENCE:
+        first = several[0].path.relative_to(root).as_posix()
+        those = sum(place in several for place in places.values())
+        yield (
+            f"{those} frames share {len(several)} file{'s' * (len(several) > 1)} of {name}, first "
+            f"{first}; if each has its own, its pattern needs the placeholders of rgb's"
+        )
 
 
 def _alone(images: Sequence[Found], template: str, colors: Mapping[str, Found]) -> dict[str, Found]:
@@ -194,6 +209,19 @@ def files_for(
 def formatted(template: str, values: Mapping[str, str]) -> str:
     """Return a template with what its placeholders stand for."""
     return re.sub(r"\{(\w+)\}", lambda found: values[found[1]], template)
+
+
+def check_group(root: Path, description: Description, matched: Matched) -> None:
+    """Raise `LayoutError` where groups are of placeholders that rgb's files have not."""
+    group = description.group
+    if group is None or "{group}" in group:
+        return
+    known = matched.captured[next(iter(matched.places["rgb"]))]
+    if lost := [name for name in placeholders(group) if name not in known]:
+        raise LayoutError(
+            f"{root}: expected a group {group!r} of the placeholders of rgb's files "
+            f"{description.rgb.files!r}, found no {{{lost[0]}}} there; name it in their pattern"
+        )
 
 
 def group_of(frame_id: str, pattern: str | None) -> str:

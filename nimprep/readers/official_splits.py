@@ -13,6 +13,7 @@ from nimprep.readers.description import Description, SplitSource
 from nimprep.readers.matching import Matched, formatted
 from nimprep.readers.patterns import placeholders
 from nimprep.readers.split_lists import CALLED, FrameNames, listed_splits, lists_beside
+from nimprep.readers.split_signs import split_note
 from nimprep.readers.tree import found_files
 from nimprep.splits import SPLITS
 
@@ -59,7 +60,10 @@ def official_splits(
     try:
         if source is not None:
             return _by_lists(root, source, matched)
-        return _by_folders(root, matched) or _by_lists_found(root, matched)
+        taken = _by_folders(root, matched) or _by_lists_found(root, matched)
+        if taken.of_frame or taken.notes:
+            return taken
+        return OfficialSplits(notes=split_note(root, matched) if kept else ())
     except SplitError as error:
         if not kept and source is None:
             return OfficialSplits()
@@ -89,7 +93,11 @@ def _by_template(root: Path, source: SplitSource, matched: Matched) -> OfficialS
     skipped = set()
     for frame_id in matched.ids:
         values = matched.captured[frame_id]
-        if lost := [name for name in placeholders(template) if name not in values]:
+        lost = [name for name in placeholders(template) if name not in values]
+        if lost and frame_id not in matched.places["rgb"]:
+            # A bad frame, without a colour image: its other files may say less.
+            continue
+        if lost:
             raise LayoutError(
                 f"{root}: expected a split {template!r} of the placeholders of rgb's files, found "
                 f"no {{{lost[0]}}} there; name it in their pattern"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from nimprep.errors import LayoutError
 from nimprep.files import read_file
-from nimprep.readers.description import Description, Match
+from nimprep.readers.description import CONFIDENCE, Description, Match
 from nimprep.readers.found import Found, Place
 from nimprep.readers.nearest import exact, nearest_pairs, rows_of, time_from
 from nimprep.readers.split_lists import FrameNames
@@ -58,6 +58,7 @@ def paired(
     match, made = description.match, Pairing()
     if match is None:
         return made
+    _check_names(root, description, match)
     if match.pairs is not None:
         _by_pairs(root, match, colors, others, made)
     optional = {name for name, source in description.sources() if source.missing == "none"}
@@ -75,6 +76,17 @@ def paired(
                 f"{match.tolerance_s:g} s, first {min(lost)!r}: they are left out"
             )
     return made
+
+
+def _check_names(root: Path, description: Description, match: Match) -> None:
+    """Raise `LayoutError` where lists or columns are of no kind of image that is described."""
+    known = [name for name, _ in description.sources() if name != CONFIDENCE]
+    for called in (*match.lists, *filter(None, match.columns)):
+        if called not in known:
+            raise LayoutError(
+                f'{root}: expected {", ".join(known)} as lists or columns in "match", found '
+                f"{called!r}; describe it, or leave it out"
+            )
 
 
 def _is_timed(match: Match, name: str, images: list[Found]) -> bool:
@@ -183,15 +195,23 @@ def _by_pairs(
                     'say in "columns" what there is'
                 )
             said = dict(zip(match.columns, row, strict=False))
-            frame_id = names["rgb"].find(said["rgb"])
+            folder = path.parent.relative_to(root).as_posix()
+            frame_id = _named(names["rgb"], folder, said["rgb"])
             if frame_id is None:
                 unknown += 1
                 continue
             there.add(frame_id)
             for kind in kinds:
-                number = names[kind].find(said[kind])
-                if number is not None:
-                    made.places[kind][frame_id] = images[kind][number]
+                number = _named(names[kind], folder, said[kind])
+                if number is None:
+                    continue
+                place = images[kind][number]
+                if made.places[kind].setdefault(frame_id, place) != place:
+                    raise LayoutError(
+                        f"{path}: expected one pair per colour image, found {said['rgb']!r} with "
+                        f"{place.path.name} and {made.places[kind][frame_id].path.name}; take one "
+                        "out"
+                    )
     if unknown:
         made.notes.append(f"{unknown} pairs of {match.pairs} name no colour image")
     if lost := colors.keys() - there:
@@ -200,6 +220,11 @@ def _by_pairs(
             f"{len(lost)} of {len(colors)} colour images are in no pair of {match.pairs}, first "
             f"{min(lost)!r}: they are left out"
         )
+
+
+def _named(names: FrameNames, folder: str, said: str) -> str | None:
+    """Return what a list names, whose paths begin at its own folder or at the dataset's."""
+    return names.find(f"{folder}/{said}") or names.find(said)
 
 
 def _names(root: Path, places: Mapping[str, Place]) -> FrameNames:

@@ -60,19 +60,23 @@ class FrameNames:
             # A file of several frames names none.
             self._known[name] = None
 
-    def find(self, name: str) -> str | None:
+    def find(self, name: str, *, loose: bool = False) -> str | None:
         """Return the frame of this id, file, or end of a file's path; None = of no one frame.
 
-        A path may begin with folders above the dataset's, and lack its ending.
+        A path may begin with folders above the dataset's, and lack its ending. Then it is all of
+        the path below the dataset's folder, unless `loose`: what is not there, such as another
+        scene, is not to be taken for what is.
         """
         name = name.replace("\\", "/").removeprefix("./").strip("/")
+        whole = True
         while name:
             for each in (name, name.removesuffix(PurePosixPath(name).suffix)):
                 found = each if each in self._ids else self._known.get(each)
                 if found is not None:
                     return found
-            if (found := self._by_end().get(name)) is not None:
+            if (whole or loose) and (found := self._by_end().get(name)) is not None:
                 return found
+            whole = False
             name = name.partition("/")[2]
         return None
 
@@ -104,11 +108,18 @@ def listed_splits(lists: Iterable[tuple[SplitName, Path]], names: FrameNames) ->
     SplitError
         One cannot be read; a line names two frames; or a frame is in the lists of two splits.
     """
+    lists = list(lists)
+    listed = _listed(lists, names, loose=False)
+    # Folders above the dataset's, and others below it that the lists do not know.
+    return listed if listed.of_frame else _listed(lists, names, loose=True)
+
+
+def _listed(lists: Iterable[tuple[SplitName, Path]], names: FrameNames, *, loose: bool) -> Listed:
     found: dict[str, SplitName] = {}
     unknown: list[str] = []
     for split, path in lists:
         for line in _lines(path):
-            frame_id = _frame(path, line, names)
+            frame_id = _frame(path, line, names, loose=loose)
             if frame_id is None:
                 # A table's first line says what its columns are.
                 if line.number > 1 or path.suffix.lower() != ".csv":
@@ -157,10 +168,11 @@ def _lines(path: Path) -> Iterator[Line]:
             yield Line(number, tuple(tuple(dict.fromkeys(way)) for way in ways))
 
 
-def _frame(path: Path, line: Line, names: FrameNames) -> str | None:
+def _frame(path: Path, line: Line, names: FrameNames, *, loose: bool) -> str | None:
     """Return the frame that a line names, in any of its columns; None = none."""
     for way in line.ways:
-        found = {frame_id for name in way if (frame_id := names.find(name)) is not None}
+        sought = (names.find(name, loose=loose) for name in way)
+        found = {frame_id for frame_id in sought if frame_id is not None}
         if len(found) > 1:
             a, b = sorted(found)[:2]
             raise SplitError(

@@ -92,7 +92,8 @@ def _image_problems(store: Store, index: int, images: dict[str, npt.NDArray[Any]
         if modality.values == "vectors":
             problems += _vector_problems(modality, image)
         if modality.derived is not None and "depth" in images:
-            if modality.derived.gravity:
+            # A frame without depth shows no direction.
+            if modality.derived.gravity and images["depth"].any():
                 problems += _gravity_problems(modality, store.tables.gravity[index])
             problems += _cover_problems(modality, image, images["depth"] > 0, filled=filled)
     return problems
@@ -176,7 +177,7 @@ def _recomputed_problems(
                 f"{name}: expected what {method!r} makes of the depth, "
                 f"found {int(apart.sum())} pixels apart"
             )
-    estimated = not np.isnan(derived.gravity).any()
+    estimated = images["depth"].any() and not np.isnan(derived.gravity).any()
     if estimated and not np.allclose(derived.gravity, store.tables.gravity[index]):
         problems.append(f"gravity: expected {derived.gravity}, found {store.tables.gravity[index]}")
     return problems

@@ -13,6 +13,7 @@ import pytest
 import nimprep
 from nimprep.errors import DecodeError, LayoutError, NimprepError
 from nimprep.readers import ReaderOptions, open_reader
+from nimprep.store.validate import validate_store
 from tests.fakes import contents, write_gmrp
 
 DESCRIBED: dict[str, Any] = {
@@ -193,3 +194,14 @@ def test_another_ending_is_told(raw: Path, tmp_path: Path) -> None:
     (raw / "rgb/000001.png").rename(raw / "rgb/000001.jpg")
     with pytest.raises(DecodeError, match=r"000001\.png: .* found none but '000001\.jpg'; an end"):
         nimprep.convert(raw, tmp_path / "s.zarr")
+
+
+def test_a_store_with_frames_without_depth_is_valid(raw: Path, tmp_path: Path) -> None:
+    lacking(raw, "depth_u16/000001.png")
+    described = description(tmp_path, **optional("depth", "none"))
+    names = ["rgb", "depth", "normal", "hha", "label"]
+    with pytest.warns(UserWarning, match="1 of 5 frames have no depth"):
+        store = nimprep.convert(raw, tmp_path / "s.zarr", description=described, modalities=names)
+    assert not store[1]["depth"].any()
+    assert np.isnan(store.tables.gravity).all(axis=1).tolist() == [False, True] + [False] * 3
+    assert validate_store(tmp_path / "s.zarr", deep=True).problems == []

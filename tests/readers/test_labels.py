@@ -74,6 +74,13 @@ def test_a_palettes_colours_count_where_the_map_names_colours(tmp_path: Path) ->
     assert np.array_equal(read(path, source), np.array([2, 0, 255], np.uint8)[IDS])
 
 
+def test_values_and_colours_of_one_map_are_refused_for_a_palette(tmp_path: Path) -> None:
+    path = write_palette(tmp_path / "label.png")
+    both = mapped({"#090909": 0, "#ff0000": 1, "2": 2}, default=255)
+    with pytest.raises(DecodeError, match="a map of either colours or values for an image with a"):
+        read(path, both)
+
+
 def test_grey_saved_as_colour_is_read_as_one_channel(tmp_path: Path) -> None:
     path = write_png(tmp_path / "label.png", np.dstack([IDS] * 3))
     assert np.array_equal(read(path), IDS)
