@@ -12,6 +12,7 @@ from typing import Any
 
 from nimprep.errors import DecodeError, NimprepError
 from nimprep.files import read_file
+from nimprep.schema_wording import innermost, worded
 
 _PACKAGED = Path(__file__).parent / "schemas"
 _SOURCE_TREE = Path(__file__).parent.parent / "schemas"
@@ -73,12 +74,17 @@ def schema_problems(document: Any, name: str, part: str | None = None) -> list[s
 
     At most `MAX_PROBLEMS` lines. With `part`, the document is the property of that name alone.
     """
-    found = islice(_validator(name, part).iter_errors(document), MAX_PROBLEMS)
+    found = map(innermost, islice(_validator(name, part).iter_errors(document), MAX_PROBLEMS))
     # jsonschema quotes the whole instance; a line must stay readable.
     return [
-        f"{_shortened(error.json_path)}: {_shortened(error.message)}"
-        for error in sorted(found, key=lambda e: e.json_path)
+        f"{_shortened(error.json_path)}: {_shortened(worded(error))}"
+        for error in sorted(found, key=_place)
     ]
+
+
+def _place(error: Any) -> tuple[str, bool]:
+    """Order problems by where they are; a wrong key tells more than one that is missing."""
+    return error.json_path, error.validator != "additionalProperties"
 
 
 def _shortened(text: str) -> str:

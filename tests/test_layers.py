@@ -16,7 +16,7 @@ LAYERS = [
     ["errors", "text", "compilation"],
     ["kernels", "folders"],
     ["files", "arrays", "depth", "parallel", "options", "camera", "modality", "plane", "frame"],
-    ["schema"],
+    ["schema", "schema_wording"],
     ["images", "splits", "metrics"],
     ["derive"],
     ["doubts"],

@@ -18,6 +18,7 @@ from nimprep.readers.cameras import camera_from, numbers_of
 from nimprep.readers.description import MOST_SCALE_M, DistortionRule, Size, metres_per_unit
 from nimprep.readers.nearby import nearby_dataset
 from nimprep.readers.resizing import size_from
+from nimprep.readers.tree import check_root
 
 __all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptions", "open_reader"]
 
@@ -132,8 +133,7 @@ def sniff(root: Path) -> ReaderName:
     LayoutError
         The folder is missing, or has no known layout.
     """
-    if not root.is_dir():
-        raise LayoutError(f"{root}: expected a dataset's folder, found none")
+    check_root(root)
     for name, layout in READERS.items():
         if any((root / mark).is_dir() for mark in layout.marks):
             return name

@@ -25,7 +25,8 @@ from nimprep.readers.description import (
     metres_per_unit,
 )
 from nimprep.readers.label_map import check_classes, with_map
-from nimprep.schema import check_json, read_json
+from nimprep.schema import check_json, load_schema, read_json
+from nimprep.schema_wording import alike
 
 _SCALES = {
     "depth": ("scale_m", "offset_m"),
@@ -70,7 +71,7 @@ def description_from_document(document: Any, where: str) -> Description:
         planes={name: ExtraSource(**_plane(plane, *plane)) for name, plane in planes.items()},
         id=document.get("id"),
         classes=classes,
-        camera=_camera(document["camera"]) if "camera" in document else None,
+        camera=_camera(document["camera"], where) if "camera" in document else None,
         group=_group(document, where),
         split=_split(document.get("split")),
         no_split=document.get("split") is False,
@@ -171,7 +172,7 @@ def _depth(document: Mapping[str, Any], where: str) -> DepthSource:
         invalid=tuple(map(_invalid, document.get("invalid", [0]))),
         confidence=None if confidence is None else PlaneSource(**_plane(confidence)),
         least_confidence=1.0 if confidence is None else float(confidence.get("least", 1)),
-        camera=None if camera is None else _camera(camera),
+        camera=None if camera is None else _camera(camera, where),
         depth_to_rgb=None if transform is None else _transform(transform, where),
     )
 
@@ -224,16 +225,32 @@ def _label(document: Mapping[str, Any], classes: tuple[LabelClass, ...], where: 
     return with_map(source, {key: int(value) for key, value in named.items()}, classes, where)
 
 
-def _camera(given: Any) -> CameraSource:
+def _camera(given: Any, where: str) -> CameraSource:
     if isinstance(given, str):
         return CameraSource(files=given)
     if "files" not in given:
+        _refuse_misspelt(given, where)
         rule = given.get("distortion")
         if not isinstance(rule, str):
             return CameraSource(numbers=given)
         numbers = {name: value for name, value in given.items() if name != "distortion"}
         return CameraSource(numbers=numbers, distortion=rule)  # type: ignore[arg-type]
     return CameraSource(**{name: _frozen(value) for name, value in given.items()})
+
+
+def _refuse_misspelt(camera: Mapping[str, Any], where: str) -> None:
+    """Raise `LayoutError` where a key of a camera's numbers is nearly one that is known.
+
+    Camera files of other programs have keys that are passed over; here that would lose the size.
+    """
+    known = load_schema("camera")["properties"]
+    for key in camera:
+        meant = None if key in known else alike(key, [name for name in known if name not in camera])
+        if meant is not None:
+            raise LayoutError(
+                f"{where}: expected keys of a camera that are known, found {key!r}; "
+                f"did you mean {meant!r}?"
+            )
 
 
 def _split(document: Any) -> SplitSource | None:

@@ -42,6 +42,7 @@ from nimprep.readers.registration import (
     registered,
     registered_shape,
 )
+from nimprep.readers.tree import check_root
 from nimprep.readers.undistortion import without_border
 
 _NOMINAL_NOTE = (
@@ -98,8 +99,7 @@ class FolderReader(ReaderBase):
         depth: bool = True,
     ) -> None:
         self.root = Path(root)
-        if not self.root.is_dir():
-            raise LayoutError(f"{self.root}: expected a dataset's folder, found none")
+        check_root(self.root)
         if not isinstance(description, Description):
             description = description_from_file(description)
         description = _relabelled(description, label_map)

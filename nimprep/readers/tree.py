@@ -13,6 +13,9 @@ from nimprep.readers.patterns import captures
 MAX_FILES = 1 << 22
 """A dataset's folder with more files is refused: a link led somewhere it should not."""
 
+_ARCHIVES = frozenset({".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar"})
+_MOST_NAMES = 8
+
 _LITTER = ("__macosx", "thumbs.db", "desktop.ini")
 """What systems leave in folders, beside what is hidden; in small letters."""
 
@@ -34,7 +37,9 @@ def found_files(root: Path, pattern: str) -> Iterator[tuple[Path, dict[str, str]
     start = root / fixed
     # Path.is_dir raises where a name is too long for any file.
     if not os.path.isdir(start):  # noqa: PTH112
-        raise LayoutError(f"{start}: expected a folder with files {pattern!r}, found none")
+        raise LayoutError(
+            f"{start}: expected a folder with files {pattern!r}, found none; {_folders_near(start)}"
+        )
     for path in _files_below(start, root):
         found = captures(pattern, path.relative_to(root).as_posix())
         if found is None:
@@ -42,6 +47,28 @@ def found_files(root: Path, pattern: str) -> Iterator[tuple[Path, dict[str, str]
         if not all(value.isprintable() for value in found.values()):
             raise LayoutError(f"{path!a}: expected a printable file name, found another")
         yield path, found
+
+
+def check_root(root: Path) -> None:
+    """Raise `LayoutError` where what should be a dataset's folder is none."""
+    if root.is_dir():
+        return
+    found, step = "nothing", "check the path"
+    if root.suffix.lower() in _ARCHIVES:
+        found, step = "an archive", "unpack it, and give the folder"
+    elif root.exists():
+        found, step = "a file", "give the folder that holds all of them"
+    raise LayoutError(f"{root}: expected a dataset's folder, found {found}; {step}")
+
+
+def _folders_near(missing: Path) -> str:
+    """Return what to compare a missing folder with: those beside it, or where it should begin."""
+    there = next(parent for parent in missing.parents if os.path.isdir(parent))  # noqa: PTH112
+    names = sorted(p.name for p in there.iterdir() if p.is_dir() and _counts(p.name))
+    if not names:
+        return f"{there} holds no folders"
+    more = ", ..." if len(names) > _MOST_NAMES else ""
+    return f"folders in {there} are {', '.join(names[:_MOST_NAMES])}{more}"
 
 
 def check_pattern(root: Path, pattern: str) -> None:
