@@ -12,8 +12,10 @@ made to deceive it is not, and their line then stands beside ours. File descript
 whole process, so that holding it back around a decode would swallow other threads' lines too.
 """
 
+from nimprep.images.archive import archive_shapes
 from nimprep.images.array import read_array, read_array_header
 from nimprep.images.decode import read_bytes, read_depth, read_label, read_rgb
+from nimprep.images.hdf5 import hdf5_shapes
 from nimprep.images.header import ImageHeader
 from nimprep.images.layout import Layout, Raw
 from nimprep.images.orientation import OrientationRule, read_orientation
@@ -24,6 +26,8 @@ __all__ = [
     "Layout",
     "OrientationRule",
     "Raw",
+    "archive_shapes",
+    "hdf5_shapes",
     "read_array",
     "read_array_header",
     "read_bytes",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -67,6 +67,23 @@ def read_archive_part(
             header = replace(header, start=place + header.start)
             return read_part(file, header, path, axis, index)
         return _unpacked(archive, member, header, path, axis, index)
+
+
+def archive_shapes(path: Path, most: int) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of at most so many arrays of numbers in a .npz file, by their headers.
+
+    Raises
+    ------
+    DecodeError
+        It is no such archive.
+    """
+    found = {}
+    with _opened(path) as (file, archive):
+        for member in archive.infolist()[:most]:
+            name = member.filename.removesuffix(".npy")
+            with suppress(DecodeError):
+                found[name] = _member(file, archive, name, path)[1].shape
+    return found
 
 
 @contextmanager

@@ -67,8 +67,35 @@ def read_hdf5_part(
     return np.ascontiguousarray(found.astype(found.dtype.newbyteorder("="), copy=False))
 
 
+def hdf5_shapes(path: Path, most: int) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of at most so many arrays of numbers in an HDF5 file, by their paths.
+
+    Raises
+    ------
+    DecodeError
+        It is no HDF5 file, cannot be read, or h5py is not there.
+    """
+    found: dict[str, tuple[int, ...]] = {}
+    with _opened(path) as file:
+        import h5py
+
+        def visit(name: str, item: object) -> bool | None:
+            if isinstance(item, h5py.Dataset) and item.shape and item.dtype.kind in "biuf":
+                found[name] = tuple(item.shape)
+            return True if len(found) >= most else None
+
+        file.visititems(visit)
+    return found
+
+
 @contextmanager
 def _dataset(path: Path, key: str | None) -> Iterator[Any]:
+    with _opened(path) as file:
+        yield _found(file, key, path)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
     try:
         import h5py
     except ImportError as error:
@@ -81,7 +108,7 @@ def _dataset(path: Path, key: str | None) -> Iterator[Any]:
     try:
         # Nothing is written, and many file systems that datasets lie on know no locks.
         with h5py.File(path, "r", locking=False) as file:
-            yield _found(file, key, path)
+            yield file
     except (DecodeError, MemoryError):
         raise
     except Exception as error:  # h5py raises whatever fits HDF5's own errors

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from nimprep.errors import DecodeError
-from nimprep.images import Layout, read_plane
+from nimprep.images import Layout, archive_shapes, hdf5_shapes, read_plane
 from nimprep.inspection.samples import MOST_SAMPLES, Sample
 
 CONTAINERS = frozenset((".h5", ".hdf5", ".hdf", ".mat", ".npz", ".exr"))
@@ -49,7 +46,10 @@ def arrays_in(path: Path) -> list[Held]:
     """
     if path.suffix.lower() == ".exr":
         return [Held("", "HWC")]
-    shapes = _npz_shapes(path) if path.suffix.lower() == ".npz" else _hdf5_shapes(path)
+    is_archive = path.suffix.lower() == ".npz"
+    listed = archive_shapes(path, 20) if is_archive else hdf5_shapes(path, 40)
+    # MATLAB keeps what cells refer to there.
+    shapes = {name: shape for name, shape in listed.items() if not name.startswith("#refs#")}
     reversed_ = path.suffix.lower() == ".mat"
     many = {shape[0] for shape in shapes.values() if len(shape) == 4}
     found = []
@@ -79,40 +79,6 @@ def _axes(shape: Sequence[int], *, reversed_: bool, many: set[int]) -> str:
             return f"NC{image}"
         return f"N{image}C" if shape[3] in (1, *_CHANNELS) else ""
     return ""
-
-
-def _npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            names = archive.files[:20]
-            arrays = {name: archive[name] for name in names}
-    except Exception as error:
-        # A zip file fails in as many ways as its library has.
-        raise DecodeError(f"{path}: expected arrays, found {error}") from error
-    return {name: array.shape for name, array in arrays.items() if array.dtype.kind in "biuf"}
-
-
-def _hdf5_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    try:
-        import h5py
-    except ImportError as error:
-        raise DecodeError(
-            f"{path}: expected h5py to look into an HDF5 file, found none; "
-            "pip install 'nimprep[hdf5]'"
-        ) from error
-    shapes: dict[str, tuple[int, ...]] = {}
-
-    def visit(name: str, item: object) -> bool | None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf":
-            shapes[name] = tuple(item.shape)
-        return True if len(shapes) >= 40 else None
-
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            file.visititems(visit)
-    except Exception as error:  # h5py raises whatever fits HDF5's own errors
-        raise DecodeError(f"{path}: expected an HDF5 file, found {error}") from error
-    return {name: shape for name, shape in shapes.items() if not re.match(r"#refs#", name)}
 
 
 def samples_of(paths: Sequence[Path], held: Held) -> list[Sample]:

@@ -255,7 +255,7 @@ def test_every_reading_command_takes_the_url(
         path.parent.mkdir(exist_ok=True)
         cv2.imwrite(str(path), store[number].label)
     code, out, err = run("evaluate", made, tmp_path / "predictions")
-    assert (code, "1.0000" in out) == (0, True), err
+    assert (code, "100.00" in out) == (0, True), err
     code, out, err = run("export", made, tmp_path / "out", "--format", "npz", "--frames", "0:2")
     assert (code, len(list((tmp_path / "out").glob("*.npz")))) == (0, 2), err
 

@@ -35,7 +35,7 @@ def test_a_modality_unlike_the_attributes_schema_is_refused_before_anything_is_d
     modality = replace(MODALITIES["elevation"], **changes)
     monkeypatch.setitem(MODALITIES, modality.name, modality)
     reads: list[str] = []
-    monkeypatch.setattr("nimprep.images.decode.read_file", lambda *a, **k: reads.append("read"))
+    monkeypatch.setattr("nimprep.readers.folder.raw_depth", lambda *a, **k: reads.append("read"))
     with pytest.raises(StoreError, match=rf"store.schema.json: .*{found}.*; describe"):
         nimprep.convert(raw, tmp_path / "s.zarr", camera=CAMERA, modalities=names, crop="auto")
     options = [] if names is None else ["--modalities", ",".join(names)]

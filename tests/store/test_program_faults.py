@@ -148,7 +148,8 @@ KNOWN = {
     ("images/pillow.py", "pillow_header"),
     ("images/archive.py", "_opened"),
     ("images/exr.py", "decode_exr"),
-    ("images/hdf5.py", "_dataset"),
+    ("images/hdf5.py", "_opened"),
+    ("images/palette.py", "read_palette_index"),
 }
 """Where any error of a library is one of the file that it was given."""
 
