@@ -249,7 +249,12 @@ def overlay(
     overwrite: bool,
     quiet: bool,
 ) -> None:
-    """Draw PREDICTIONS against GT over IMAGES: hits green, misses red, false alarms blue."""
+    """Draw PREDICTIONS against GT over IMAGES: hits green, misses red, false alarms blue.
+
+    These are the benchmark's and the paper's plain colours, for figures. The pages of
+    nimprep evaluate --html outline and hatch what they draw, for eyes that red and green are
+    alike to.
+    """
     from nimprep.kitti.overlay import OverlayFolders, write_overlays
 
     folders = OverlayFolders(predictions, gt, images, calib, target)

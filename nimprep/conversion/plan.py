@@ -21,7 +21,7 @@ from nimprep.plane import by_name, definition_of
 from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.readers.given_splits import files_of_frames, given_splits
-from nimprep.schema import schema_problems
+from nimprep.schema import load_schema, schema_problems
 from nimprep.splits import SPLITS, SplitName, SplitRule, assign_splits
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.spec import FORMAT_VERSION
@@ -160,13 +160,24 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
                 "choose among those"
             )
     chosen = {n: m.as_dtype(options.normal_dtype) for n, m in every.items() if n in asked}
-    described = describe_modalities(chosen.values(), options.recipe)
+    _check_described(chosen, options.recipe)
+    return tuple(chosen)
+
+
+def _check_described(chosen: Mapping[str, Modality], recipe: Recipe) -> None:
+    """Raise where the store's schema does not know what would be written."""
+    named = load_schema("store")["properties"]["modalities"]["properties"]
+    if unnamed := [name for name in chosen if name in MODALITIES and name not in named]:
+        raise StoreError(
+            f"schemas/store.schema.json: expected it to describe {unnamed[0]}, found only "
+            f"{', '.join(named)}; describe it there, as docs/add-a-modality.md says"
+        )
+    described = describe_modalities(chosen.values(), recipe)
     if problems := schema_problems(described, "store", "modalities"):
         raise StoreError(
             "schemas/store.schema.json: expected it to describe the modalities of the store, "
             f"found {problems[0]}; describe them there"
         )
-    return tuple(chosen)
 
 
 def _planes(reader: Reader) -> dict[str, Modality]:
