@@ -40,7 +40,11 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         "calibration": {**about.calibration, **_camera(store)},
         "crop": about.crop,
         "codec": about.codec,
-        "split": {**about.split, "frames": count_splits(store.splits.values())},
+        "split": {
+            **about.split,
+            "frames": count_splits(store.splits.values()),
+            "official": _official_frames(about),
+        },
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
         "depth_sources": _depth_sources(about),
         "skipped": about.skipped,
@@ -86,12 +90,22 @@ def _camera(store: Store) -> dict[str, Any]:
     }
 
 
+def _official_frames(about: StoreAttributes) -> int:
+    """Return how many frames have the split that the dataset's authors chose."""
+    # A file may move them.
+    rule = about.split["rule"]
+    return 0 if rule == "file" else sum(map(len, about.fixed_splits.values()))
+
+
 def info_text(info: dict[str, Any]) -> str:
     """Return the object of `store_info` as lines for a person, whatever names it holds."""
     sizes = ", ".join(f"{s['width']}x{s['height']}" for s in info["sizes"])
     split = info["split"]
     counts = ", ".join(f"{name} {count}" for name, count in split["frames"].items())
     rule = f"by {split['rule']}" + (f", seed {split['seed']}" if "seed" in split else "")
+    if split["official"]:
+        others = info["frames"] - split["official"]
+        rule = "as its authors chose" + (f", {others} of them {rule}" if others else "")
     rows = [
         ("store", f"{info['path']} (format {info['format_version']})"),
         ("dataset", f"{info['dataset']}, {info['frames']} frames of {sizes} pixels"),

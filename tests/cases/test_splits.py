@@ -9,6 +9,7 @@ import pytest
 
 import nimprep
 from nimprep.errors import LayoutError
+from nimprep.store.info import info_text, store_info
 from tests.cases.cases import nimprep_run
 from tests.fakes import write_gmrp
 
@@ -55,6 +56,8 @@ def test_lists_beside_the_images_give_the_split(
     with pytest.warns(UserWarning, match=said):
         store = nimprep.convert(root / "b", tmp_path / "s.zarr", description=root / "b.json")
     assert splits(store) == RIGHT
+    said = info_text(store_info(store.path))
+    assert "split    train 3, val 1, test 2 (as its authors chose)" in said
 
 
 @pytest.mark.parametrize("given", ["", "train.txt"])
