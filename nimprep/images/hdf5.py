@@ -28,6 +28,7 @@ MATLAB = b"MATLAB 7.3 MAT-file"
 """MATLAB's own text comes first, HDF5's signature 512 bytes later."""
 
 _MOST_NAMES = 10_000
+_DEEPEST = 4
 
 
 def is_hdf5(start: bytes) -> bool:
@@ -125,16 +126,35 @@ def _found(file: Any, key: str | None, path: Path) -> Any:
     if key is None:
         names = [n for n in _names(file) if isinstance(_at(file, [n]), h5py.Dataset)]
         if len(names) != 1:
-            raise DecodeError(missing_key(path, None, names))
+            raise DecodeError(missing_key(path, None, names or _arrays(file)))
         key = names[0]
     array = _at(file, [part for part in key.split("/") if part])
     if not isinstance(array, h5py.Dataset):
-        raise DecodeError(missing_key(path, key, _names(file)))
+        raise DecodeError(missing_key(path, key, _arrays(file)))
     return array
 
 
 def _names(file: Any) -> list[str]:
     return [name for name, _ in zip(file, range(_MOST_NAMES), strict=False)]
+
+
+def _arrays(file: Any) -> list[str]:
+    """Return the keys of the arrays in a file, in its groups too, that `_found` would find."""
+    import h5py
+
+    names: list[str] = []
+    # Not deeper than anybody's groups are: hard links can lead round in a circle.
+    level: list[tuple[str, ...]] = [(name,) for name in _names(file)]
+    for _ in range(_DEEPEST):
+        below: list[tuple[str, ...]] = []
+        for parts in level[:_MOST_NAMES]:
+            there = _at(file, list(parts))
+            if isinstance(there, h5py.Dataset):
+                names.append("/".join(parts))
+            elif isinstance(there, h5py.Group) and len(below) < _MOST_NAMES:
+                below += [(*parts, name) for name in _names(there)]
+        level = below
+    return names
 
 
 def _at(group: Any, parts: list[str]) -> Any:

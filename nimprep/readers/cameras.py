@@ -78,15 +78,14 @@ class GivenCamera:
         )
 
     def ray_lengths(self, height: int, width: int, frame_id: str) -> npt.NDArray[np.float64]:
-        """Return how much longer each pixel's ray is than its depth, as (H, W).
+        """Return how much longer each pixel's ray is than its depth, as (H, W), read-only.
 
         Pixels are those of the image as it is, distorted where the lens distorts. Distance along
         the ray over this is depth.
         """
-        from nimprep.readers.undistortion import rays
+        from nimprep.readers.undistortion import ray_lengths
 
-        x, y = rays(self.camera(height, width, frame_id), self.distortion)
-        return np.sqrt(1 + x * x + y * y)
+        return ray_lengths(self.camera(height, width, frame_id), self.distortion)
 
 
 def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:

@@ -105,6 +105,25 @@ def rays(
     return x, y
 
 
+def ray_lengths(camera: Camera, lens: Distortion | None) -> npt.NDArray[np.float64]:
+    """Return how much longer than its depth the ray of each pixel is, (H, W), not to be written."""
+    if camera.width * camera.height > _KEPT_PIXELS:
+        return _ray_lengths(camera, lens)
+    return _kept_lengths(camera, lens)
+
+
+@lru_cache(maxsize=2)
+def _kept_lengths(camera: Camera, lens: Distortion | None) -> npt.NDArray[np.float64]:
+    lengths = _ray_lengths(camera, lens)
+    lengths.flags.writeable = False
+    return lengths
+
+
+def _ray_lengths(camera: Camera, lens: Distortion | None) -> npt.NDArray[np.float64]:
+    x, y = rays(camera, lens)
+    return np.sqrt(1 + x * x + y * y)
+
+
 def without_border(camera: Camera, lens: Distortion) -> float:
     """Return the share of an undistorted image's pixels that the distorted one does not show."""
     return 1 - float(np.mean(pixel_map(camera, lens).inside))

@@ -24,7 +24,7 @@ def frames(reference_data: Path) -> list[RealFrame]:
 
 
 def signs_of(frame: RealFrame) -> dict[str, float]:
-    raw = {} if frame.raw is None else raw_signs(frame.raw)
+    raw = {} if frame.raw is None else raw_signs(frame.raw, [65535])
     return {**raw, **depth_signs(frame.depth_m, frame.camera, MOST_M), **camera_signs(frame.camera)}
 
 
@@ -67,6 +67,14 @@ def test_their_bytes_swapped_they_are_refused(frames: list[RealFrame]) -> None:
         assert signs["swapped_roughness"] < CERTAINLY_SWAPPED / 20
         with pytest.raises(DecodeError, match="byte_order"):
             check_byte_order(signs, "")
+
+
+def test_the_largest_value_of_kittis_own_depth_is_told_where_nothing_is_said_of_it(
+    frames: list[RealFrame],
+) -> None:
+    raws = {frame.name: frame.raw for frame in frames if frame.raw is not None}
+    told = {name for name, raw in raws.items() if "saturated" in kinds(raw_signs(raw))}
+    assert told == {"testing/um_000000", "training/uu_000000"}
 
 
 def test_bits_rotated_by_3_and_8_bits_are_told(frames: list[RealFrame]) -> None:

@@ -306,3 +306,16 @@ def test_a_file_that_is_neither_array_nor_image_says_what_it_is(
         DecodeError, match=r"found a MATLAB 5 file, .*; save it by save\(..., '-v7.3'"
     ):
         read_plane(path, layout)
+
+
+@pytest.mark.parametrize("key", [None, "camera", "camera/rgb", "other/depth"])
+def test_the_arrays_of_an_hdf5_file_are_named_with_their_groups(
+    tmp_path: Path, key: str | None
+) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["camera/left/depth"] = MM
+        file["camera/depth"] = MM
+        file["loop"] = file["camera"]
+        file["camera/loop"] = file["/"]
+    with pytest.raises(DecodeError, match=r"found 'camera/depth', 'camera/left/depth', .*as 'key'"):
+        read_plane(tmp_path / "a.h5", Layout(key=key))

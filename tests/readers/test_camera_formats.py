@@ -247,6 +247,10 @@ def test_numbers_stand_where_keys_say(tmp_path: Path) -> None:
     assert camera.intrinsics == (500, 501, 320, 240)
     assert (camera.size, camera.baseline_m) == ((480, 640), 0.12)
     assert "'cam.f.2'" in refused(tmp_path, "c.json", document, keys={**keys, "fx": "cam.f.2"})
+    some = {name: keys[name] for name in ("fx", "fy", "cx")}
+    assert "expected cy among 'keys', found none; add it" in refused(
+        tmp_path, "c.json", document, keys=some
+    )
     text = "fx_color = 1170.2\nfy_color = 1170.3\nmx_color = 647.7\nmy_color = 483.7\nn = 5\n"
     names = {"fx": "fx_color", "fy": "fy_color", "cx": "mx_color", "cy": "my_color"}
     assert read(tmp_path, "s.txt", text, keys=names).intrinsics == (1170.2, 1170.3, 647.7, 483.7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from nimprep.readers.depth_values import (
     raw_depth,
 )
 from nimprep.readers.description import DepthSource, PlaneSource
+from nimprep.readers.distortion import Distortion
 from nimprep.readers.matching import Place
 from tests.fakes import write_png
 
@@ -122,6 +124,18 @@ def test_distance_along_the_ray_becomes_depth(tmp_path: Path) -> None:
     assert np.allclose(found, DEPTH_M, rtol=1e-6)
     with pytest.raises(CameraError, match="expected a calibrated camera for distance"):
         read(distance, tmp_path, nominal_camera(), values="distance")
+
+
+def test_rays_are_reckoned_once_for_frames_of_one_camera() -> None:
+    lens = Distortion("brown", (0.1, 0.0, 0.0, 0.0))
+    for camera in (CAMERA, replace(CAMERA, distortion=lens)):
+        lengths = camera.ray_lengths(H, W, "0")
+        assert camera.ray_lengths(H, W, "1") is lengths
+        with pytest.raises(ValueError, match="read-only"):
+            lengths[0] = 1
+    assert not np.array_equal(CAMERA.ray_lengths(H, W, "0"), lengths)
+    other = replace(CAMERA, intrinsics=(FX, FY, CX + 1, CY))
+    assert np.allclose(other.ray_lengths(H, W, "0")[:, 1:], CAMERA.ray_lengths(H, W, "0")[:, :-1])
 
 
 def test_invalid_numbers_and_ranges_are_of_raw_values(tmp_path: Path) -> None:

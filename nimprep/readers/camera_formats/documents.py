@@ -99,10 +99,12 @@ def _numbers_by_path(document: Any, where: str, keys: Mapping[str, str]) -> Came
     given = {name: number_of(_at(document, path)) for name, path in keys.items()}
     for name in ("fx", "fy", "cx", "cy"):
         if math.isnan(given.get(name, math.nan)):
-            path = keys.get(name)
+            if name not in keys:
+                raise CameraError(f"{where}: expected {name} among 'keys', found none; add it")
+            path = keys[name]
             raise CameraError(
                 f"{where}: expected a number for {name} at {path!r}, found "
-                f"{str(_at(document, path) if path else None)[:80]}; it has {_names(document)}"
+                f"{str(_at(document, path))[:80]}; it has {_names(document)}"
             )
     parents = {path.rpartition(".")[0] for path in keys.values()}
     beside = [_at(document, p) if p else document for p in parents]
