@@ -35,6 +35,7 @@ v2 = vision.transforms()
 Mask = importlib.import_module("torchvision.tv_tensors").Mask
 
 HEIGHT, WIDTH = 24, 32
+NAN = float("nan")
 
 
 @pytest.fixture(scope="module")
@@ -382,6 +383,8 @@ WRONG: dict[str, tuple[Any, str]] = {
     "another size": (lambda s: {**s, "rgb": s["rgb"][:, 1:]}, "images of one size"),
     "label's size": (lambda s: {**s, "label": s["label"][1:]}, "images of one size"),
     "other axes": (lambda s: {**s, "rgb": s["rgb"].permute(1, 2, 0)}, r"rgb \(3, 'H', 'W'\)"),
+    "no number": (lambda s: {**s, "depth": s["depth"] * NAN}, "finite depth .*NaN; 0 stands for"),
+    "no end": (lambda s: {**s, "depth": s["depth"] / 0}, "finite depth from .*infinity"),
     "an array": (lambda s: {**s, "depth": s["depth"].numpy()}, "expected tensors"),
 }
 
@@ -391,6 +394,19 @@ def test_what_a_transform_returns_is_checked(path: Path, transform: Any, said: s
     dataset = StoreDataset(path, None, "rgb+d", transform=transform)
     with pytest.raises(ArrayError, match=f"^frame '000001': .*{said}"):
         dataset[1]
+
+
+def test_nan_that_stands_for_none_is_taken_and_infinity_is_not(path: Path) -> None:
+    def holes(number: float) -> StoreDataset:
+        return StoreDataset(
+            path,
+            modalities=("elevation",),
+            transform=lambda s: {**s, "elevation": s["elevation"] * 0 + number},
+        )
+
+    assert not holes(NAN)[0]["elevation"].any()
+    with pytest.raises(ArrayError, match=r"finite elevation .*infinity; NaN stands for none"):
+        holes(float("inf"))[0]
 
 
 def test_scaled_colours_are_taken_where_nothing_scales_them_again(path: Path) -> None:

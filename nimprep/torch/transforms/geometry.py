@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -54,7 +55,8 @@ def check_returned(sample: Any, frame_id: str, given: Collection[str]) -> None:
     ------
     ArrayError
         It is no dict, lacks one of the keys, has images of several sizes, one that is no tensor or
-        of other channels, or a label of other than whole numbers from 0 to 255.
+        of other channels, numbers that are none, or a label of other than whole numbers from 0 to
+        255.
     """
     where = f"frame {frame_id!r}: expected"
     if not isinstance(sample, Mapping):
@@ -76,6 +78,10 @@ def check_returned(sample: Any, frame_id: str, given: Collection[str]) -> None:
     sizes = {tuple(image.shape[-2:]) for image in images.values()}
     if len(sizes) > 1:
         raise ArrayError(f"{where} images of one size from the transform, found {sorted(sizes)}")
+    for name, image in images.items():
+        # A sum is NaN where one number is, and takes a pass less than a comparison.
+        if image.is_floating_point() and not math.isfinite(float(image.sum())):
+            _check_numbers(known[name], image, where)
     label = images.get("label")
     if label is not None and label.is_floating_point() and not torch.equal(label, label.round()):
         raise ArrayError(
@@ -86,6 +92,18 @@ def check_returned(sample: Any, frame_id: str, given: Collection[str]) -> None:
         raise ArrayError(
             f"{where} label from 0 to 255 from the transform, found {label.min()} to {label.max()}"
         )
+
+
+def _check_numbers(modality: Modality, image: Tensor, where: str) -> None:
+    """Raise where an image has infinities, or NaN that does not stand for none."""
+    none_is_nan = math.isnan(modality.absent)
+    if not (image.isinf() if none_is_nan else ~image.isfinite()).any():
+        return
+    none = "NaN" if none_is_nan else f"{modality.absent:g}"
+    found = "infinity" if image.isinf().any() else "NaN"
+    raise ArrayError(
+        f"{where} finite {modality.name} from the transform, found {found}; {none} stands for none"
+    )
 
 
 def _with_images(sample: Sample, change: Callable[[Modality, Tensor], Tensor]) -> Sample:
