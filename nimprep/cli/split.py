@@ -57,6 +57,13 @@ def split(
         splits = resplit(store, split_file=import_file)
     elif anew:
         splits = resplit(store, rule=split_by, seed=seed or 0)
+        chosen = open_store(store).about.fixed_splits
+        if chosen:
+            told = ", ".join(f"{name} {len(ids)}" for name, ids in chosen.items())
+            text = (
+                f"frames whose split the dataset's authors chose keep it ({told}); --import moves"
+            )
+            echo(f"note: {text} them", err=True)
     else:
         splits = open_store(store).splits
     for name, count in count_splits(splits.values()).items():

@@ -109,7 +109,7 @@ class Unit:
         """Return what to do where the unit is plainly another."""
         plain = self.source.in_metres
         if plain and self.scale >= MISTAKEN_SCALE_M:
-            return metres_per_unit(self.scale)
+            return f"{metres_per_unit(self.scale)}, with --depth-scale"
         if plain:
             return "give the right one with --depth-scale"
         return "mend the description's depth"

@@ -8,7 +8,9 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nimprep.errors import LayoutError
+from nimprep.errors import DecodeError, LayoutError
+from nimprep.files import read_start
+from nimprep.images.signatures import NEEDED, unread_format
 from nimprep.readers.description import CONFIDENCE, Description, PlaneSource
 from nimprep.readers.found import Found, by_placeholders, found_images, only
 from nimprep.readers.found import Place as Place
@@ -117,6 +119,7 @@ def _colors(root: Path, source: PlaneSource, template: str) -> dict[str, Found]:
         )
     known = images[0].values
     if lost := [name for name in placeholders(template) if name not in known]:
+        _refuse_unread(images[0].place.path)
         raise LayoutError(
             f"{root}: expected an id {template!r} of the placeholders of rgb's files "
             f'{source.files!r}, found no {{{lost[0]}}} there; say it in "id" with those there are'
@@ -127,6 +130,16 @@ def _colors(root: Path, source: PlaneSource, template: str) -> dict[str, Found]:
     for frame_id, same in by_id.items():
         only([found.place for found in same], frame_id)
     return {i: same[0] for i, same in by_id.items()}
+
+
+def _refuse_unread(path: Path) -> None:
+    """Raise `LayoutError` where a file that was to be all frames is of a format not read."""
+    try:
+        known = unread_format(read_start(path, NEEDED))
+    except DecodeError:
+        return
+    if known is not None:
+        raise LayoutError(f"{path}: expected images, found {known[0]}; {known[1]}")
 
 
 def _joined(

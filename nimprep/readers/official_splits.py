@@ -79,7 +79,12 @@ def without_labelled(splits: OfficialSplits, matched: Matched) -> OfficialSplits
     there = {splits.of_frame.get(i) for i in labelled} or set(splits.of_frame.values())
     stay = {i: split for i, split in splits.of_frame.items() if split not in there}
     but = f", but for {counted(stay)} without labels" if stay else ""
-    note = f"the official split ({counted(splits.of_frame)}) is not kept{but}, as another is given"
+    free = {split for i, split in splits.of_frame.items() if i not in stay}
+    told = "; frames of its test may be in train" if "test" in free else ""
+    note = (
+        f"the official split ({counted(splits.of_frame)}) is not kept{but}, as another is given, "
+        f"or is the store's{told}"
+    )
     return OfficialSplits(stay, splits.skipped, (note,))
 
 

@@ -73,7 +73,8 @@ def paired(
             made.left_out |= lost
             made.notes.append(
                 f"{len(lost)} of {len(colors)} colour images have no {name} within "
-                f"{match.tolerance_s:g} s, first {min(lost)!r}: they are left out"
+                f"{match.tolerance_s:g} s, first {min(lost)!r}: they are left out; 'tolerance_s' "
+                "and 'unit_s' of 'match' say how near"
             )
     return made
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nimprep.doubts.judge import sentence
+from nimprep.frame import IGNORE_LABEL
 from nimprep.splits import are_categories, count_splits
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.reader import Store, open_store
@@ -45,6 +46,7 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
             "frames": count_splits(store.splits.values()),
             "official": _official_frames(about),
         },
+        "label_pixels": _label_pixels(store),
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
         "depth_sources": _depth_sources(about),
         "skipped": about.skipped,
@@ -65,6 +67,17 @@ def _modality(store: Store, name: str) -> dict[str, Any]:
         "bytes": stored,
         "bytes_uncompressed": raw,
     }
+
+
+def _label_pixels(store: Store) -> dict[str, dict[str, int]] | None:
+    """Count each split's pixels by label; None = no labels, or a store that keeps no counts."""
+    pixels = store.tables.class_pixels
+    if pixels is None or not store.classes:
+        return None
+    labels = [*map(str, store.about.class_ids), str(IGNORE_LABEL)]
+    splits = np.array(list(store.splits.values()))
+    sums = {name: pixels[splits == name].sum(axis=0, dtype=np.int64) for name in np.unique(splits)}
+    return {str(name): dict(zip(labels, of.tolist(), strict=True)) for name, of in sums.items()}
 
 
 def _depth_sources(about: StoreAttributes) -> dict[str, int]:

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 import nimprep
+from nimprep.conversion.append import append_frames
 from nimprep.errors import LayoutError
 from nimprep.store.info import info_text, store_info
 from tests.cases.cases import nimprep_run
 from tests.fakes import write_gmrp
 
+LENS = (30, 30, 16, 12)
 RIGHT = {"0": "train", "1": "train", "2": "train", "3": "val", "4": "test", "5": "test"}
 
 
@@ -136,3 +138,35 @@ def test_gmrp_with_lists_beside_rgb_is_split_by_them(tmp_path: Path) -> None:
     with pytest.raises(LayoutError, match=r"train.txt: line 2: .*'000003' in test too.*--split-by"):
         nimprep.convert(raw, tmp_path / "t.zarr", **options)
     nimprep.convert(raw, tmp_path / "t.zarr", split_by="frame", **options)
+
+
+def test_a_store_of_an_official_split_keeps_it_when_it_is_split_anew(
+    case: Callable[[str], Path], tmp_path: Path
+) -> None:
+    root, store = case("14-"), tmp_path / "s.zarr"
+    assert (
+        nimprep_run("convert", root / "a", store, "--description", root / "a.json").exit_code == 0
+    )
+    done = nimprep_run("split", store, "--split-by", "frame")
+    assert splits(nimprep.open_store(store)) == RIGHT
+    assert done.stderr == (
+        "note: frames whose split the dataset's authors chose keep it (test 2, train 3, val 1); "
+        "--import moves them\n"
+    )
+
+
+def test_an_official_split_that_joins_a_store_of_another_is_said_not_to_be_kept(
+    tmp_path: Path,
+) -> None:
+    more = write_gmrp(tmp_path / "more", frames=6)
+    for path in more.glob("*/00000[0-2].png"):
+        path.unlink()
+    nimprep.convert(write_gmrp(tmp_path / "gmrp", frames=3), tmp_path / "s.zarr", camera=LENS)
+    (more / "train.txt").write_text("000003\n")
+    (more / "test.txt").write_text("000004\n000005\n")
+    said = (
+        r"\(train 1, test 2\) is not kept, .*, or is the store's; frames of its test may be in tr"
+    )
+    with pytest.warns(UserWarning, match=said):
+        append_frames(more, tmp_path / "s.zarr", camera=LENS)
+    assert nimprep.open_store(tmp_path / "s.zarr").about.fixed_splits == {}

@@ -279,4 +279,7 @@ def test_a_bad_source_leaves_the_store_it_was_to_replace(gmrp: Path, tmp_path: P
 
 def test_depth_that_no_store_can_say_is_refused(gmrp: Path, tmp_path: Path) -> None:
     with pytest.raises(DecodeError, match="check --depth-scale"):
+        nimprep.convert(gmrp, tmp_path / "s.zarr", depth_scale=9.0)
+    said = "give metres per unit: 0.002, not 500, with --depth-scale"
+    with pytest.raises(DecodeError, match=said):
         nimprep.convert(gmrp, tmp_path / "s.zarr", depth_scale=500.0)

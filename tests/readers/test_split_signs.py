@@ -156,3 +156,12 @@ def test_pairs_hold_for_the_folder_of_their_list(tmp_path: Path) -> None:
         LayoutError, match=r"one pair per colour image, found 'rgb/000000.png' with"
     ):
         paired(tmp_path, ["rgb", "depth"])
+
+
+def test_a_video_of_all_frames_is_named(tmp_path: Path) -> None:
+    scenes(tmp_path, "a")
+    (tmp_path / "color.mp4").write_bytes(b"\0\0\0\x18ftypisom" + bytes(64))
+    with pytest.raises(
+        LayoutError, match=r"color.mp4: expected images, found a video \(MP4.*ffmpeg"
+    ):
+        opened(tmp_path, rgb="color.mp4")
