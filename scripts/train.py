@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, interpolate
@@ -97,15 +98,19 @@ def tensors(batch: dict[str, Any], device: torch.device) -> list[Tensor]:
 
 
 def dataset(options: argparse.Namespace, split: str, transform: Any = None) -> StoreDataset:
-    """Open a split of the store; normals are computed where it has none."""
-    stored = nimprep.open_store(options.store).modalities
+    """Open a split of the store; normals are computed where it has none.
+
+    A label is its class's place, which is the plane that the network has for it, whatever its id.
+    """
+    store = nimprep.open_store(options.store)
     return StoreDataset(
         options.store,
         split=split,
         setup=options.setup,
         fusion=options.fusion,
         transform=transform,
-        normals="cached" if "normal" in stored else "nim",
+        normals="cached" if "normal" in store.modalities else "nim",
+        classes={c.name: place for place, c in enumerate(store.classes)},
         seed=options.seed,
     )
 
@@ -135,6 +140,7 @@ def score(model: Network, data: StoreDataset, split: str, folder: Path | None) -
     model.eval()
     device = next(model.parameters()).device
     frames = {}
+    ids = np.array([c.id for c in data.store.classes], np.uint8)
     for batch in StoreLoader(data):
         height, width = batch["size"][0].tolist()
         inside = (..., slice(height), slice(width))  # frames of several sizes are padded
@@ -143,7 +149,7 @@ def score(model: Network, data: StoreDataset, split: str, folder: Path | None) -
         label = batch["label"][0][inside].numpy()
         frames[batch["id"][0]] = confusion_matrix(label, guess, scores.shape[1])
         if folder is not None:
-            png = cv2.imencode(".png", guess)[1].tobytes()
+            png = cv2.imencode(".png", ids[guess])[1].tobytes()
             path = folder / f"{batch['id'][0]}.png"
             write_whole(path, png, Path(data.store.path), overwrite=True)
     return Evaluation(data.store.classes, split, frames)
@@ -187,7 +193,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     data = dataset(options, "train", transform)
     evaluated = {split: dataset(options, split) for split in ("val", "test")}
     loader = StoreLoader(data, options.batch, shuffle=True, drop_last=len(data) > options.batch)
-    model = Network(data.selection.channels, len(data.store.classes)).to(device)
+    model = Network(data.selection.channels, data.num_classes).to(device)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, options.epochs)
     state: dict[str, Any] = {"epoch": 0, "losses": []}

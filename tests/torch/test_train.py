@@ -184,7 +184,10 @@ def test_every_setup_and_every_fusion_has_its_row(train, store, tmp_path, capsys
     assert [r["name"] for r in three] == ["rgb+d-fusion", "rgb+hha-fusion", "nim-rgb+d-fusion"]
 
 
-def test_frames_of_several_sizes_train_together_and_are_predicted_at_their_own(train, tmp_path):
+@pytest.mark.parametrize("floor", [1, 7])
+def test_frames_of_several_sizes_train_together_and_are_predicted_at_their_own(
+    train, tmp_path, floor
+):
     sizes = {"a": (40, 56), "b": (33, 70), "c": (48, 48), "d": (40, 56), "e": (37, 51)}
     for name, size in sizes.items():
         write_png(tmp_path / "raw" / "color" / f"{name}.png", np.full((*size, 3), 90, np.uint8))
@@ -192,6 +195,8 @@ def test_frames_of_several_sizes_train_together_and_are_predicted_at_their_own(t
         write_png(tmp_path / "raw" / "label" / f"{name}.png", np.full(size, 40, np.uint16))
     description = {k: v for k, v in NYU_LIKE.items() if k not in ("camera", "group")}
     description["depth"] = {"files": "depth/{id}.png", "scale_m": 0.001, "invalid": [0, 65535]}
+    description["label"] = {**NYU_LIKE["label"], "map": {"40": floor}}
+    description["classes"] = [NYU_LIKE["classes"][0], {**NYU_LIKE["classes"][1], "id": floor}]
     (tmp_path / "description.json").write_text(json.dumps(description))
     nimprep.convert(
         tmp_path / "raw",
