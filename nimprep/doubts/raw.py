@@ -69,7 +69,9 @@ def raw_signs(
     return signs
 
 
-def check_byte_order(signs: dict[str, float], where: object, *, swapped: bool = False) -> None:
+def check_byte_order(
+    signs: dict[str, float], where: object, *, swapped: bool = False, packed: bool = False
+) -> None:
     """Refuse depth whose bytes are swapped beyond doubt.
 
     Parameters
@@ -80,6 +82,8 @@ def check_byte_order(signs: dict[str, float], where: object, *, swapped: bool = 
         The file, for the message.
     swapped : bool
         Whether its bytes have been swapped already, because a description says so.
+    packed : bool
+        Whether a description says which channels have the bytes.
 
     Raises
     ------
@@ -90,6 +94,8 @@ def check_byte_order(signs: dict[str, float], where: object, *, swapped: bool = 
         step = 'give "byte_order": "swapped" under depth in a description, or write the file anew'
         if swapped:
             step = 'leave "byte_order" out of the description'
+        elif packed:
+            step = 'turn "bytes" around in the description'
         raise DecodeError(
             f"{where}: expected depth whose neighbouring values are alike, found it "
             f"{1 / signs['swapped_roughness']:.0f} times as smooth with the bytes of its values "

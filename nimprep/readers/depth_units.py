@@ -110,6 +110,8 @@ class Unit:
         plain = self.source.in_metres
         if plain and self.scale >= MISTAKEN_SCALE_M:
             return f"{metres_per_unit(self.scale)}, with --depth-scale"
+        if plain and self.source.bytes is not None:
+            return "turn 'bytes' around in the description, or give the right unit there"
         if plain:
             return "give the right one with --depth-scale"
         return "mend the description's depth"

@@ -69,7 +69,8 @@ def checked_raw_signs(
     # Of disparity that is described as such its name is no sign.
     name = below.as_posix() if source.in_metres else ""
     signs = raw_signs(raw, source.invalid, name)
-    check_byte_order(signs, place.path, swapped=source.byte_order == "swapped")
+    swapped, packed = source.byte_order == "swapped", source.bytes is not None
+    check_byte_order(signs, place.path, swapped=swapped, packed=packed)
     if not source.in_metres:
         return {name: value for name, value in signs.items() if name not in _OF_METRES}
     if "at_most_raw" in signs and _bounded(np.iinfo(raw.dtype).max, source, scale_m):
@@ -122,7 +123,20 @@ def depth_image(
     if source.confidence is not None and confidence is not None:
         none |= _unsure(confidence, source, source.confidence, raw.shape)
     np.copyto(metres, 0, where=none)
+    _check_clip(metres, source, unit)
     return checked_metres(_limited(metres, source), unit, check_unit=scale_m is None)
+
+
+def _check_clip(metres: npt.NDArray[Any], source: DepthSource, unit: Unit) -> None:
+    """Refuse depth that would all be the clip's: in another unit, it would look like a wall."""
+    if source.clip_m is None:
+        return
+    some = np.isfinite(metres) & (metres > 0)
+    if some.any() and not (metres[some] < source.clip_m).any():
+        raise DecodeError(
+            f"{unit.path}: expected depth nearer than 'clip_m' of {source.clip_m:g} m, found "
+            f"{metres[some].min():g} m and more at {unit.told()}; {unit.step()}"
+        )
 
 
 def _unsure(

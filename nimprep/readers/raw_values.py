@@ -76,7 +76,10 @@ def _from_bytes(image: npt.NDArray[Any], source: DepthSource, path: Path) -> npt
     parts = np.zeros((*image.shape[:2], 4), np.uint8)
     parts[:, :, : len(channels)] = image[:, :, channels]
     whole = parts.view("<u4")[:, :, 0].astype(np.uint32, copy=False)
-    return whole.view(np.float32) if source.bytes_as == "float32" else whole
+    if source.bytes_as == "float32":
+        return whole.view(np.float32)
+    # Two bytes are told as those of any 16-bit number are, where their order is wrong.
+    return whole.astype(np.uint16) if len(channels) == 2 else whole
 
 
 def _rotated(plane: npt.NDArray[Any], bits: int, path: Path) -> npt.NDArray[np.uint16]:

@@ -161,6 +161,14 @@ def test_depth_outside_a_range_is_none_and_beyond_the_clip_is_cut(tmp_path: Path
     assert np.allclose(clipped[1:], np.minimum(depth[1:], 3), rtol=1e-6)
 
 
+def test_depth_that_is_all_beyond_the_clip_is_refused(tmp_path: Path) -> None:
+    read(DEPTH_M, tmp_path, clip_m=DEPTH_M.min() + 0.001)
+    with pytest.raises(DecodeError, match=r"than 'clip_m' of 8 m, found 20 m and more at 10 m"):
+        read(DEPTH_M, tmp_path, scale=10.0, clip_m=8.0)
+    with pytest.raises(DecodeError, match=r"'clip_m' of 1 m, found 2 m and more at 1 m per unit"):
+        read(DEPTH_M, tmp_path, clip_m=1.0)
+
+
 def test_what_is_negative_lies_outside_a_range(tmp_path: Path) -> None:
     depth = DEPTH_M.copy()
     depth[0], depth[1] = -9999, 1e6
@@ -224,6 +232,22 @@ def test_bytes_of_channels_make_whole_numbers_or_floats(tmp_path: Path) -> None:
         read(three, tmp_path, bytes="RGBA")
     with pytest.raises(DecodeError, match="expected channels RG of 8 bits, found 1 of uint16"):
         read(number.astype(np.uint16), tmp_path, bytes="RG")
+
+
+def test_bytes_of_two_channels_the_wrong_way_round_are_refused(tmp_path: Path) -> None:
+    raw = np.rint(np.tile(DEPTH_M, (2, 2)) * 1000).astype("<u2")
+    image = np.dstack([raw.view(np.uint8).reshape(2 * H, 2 * W, 2), np.zeros_like(raw, np.uint8)])
+    np.save(tmp_path / "a.npy", image)
+    place = Place(tmp_path / "a.npy")
+    right = DepthSource(files="a.npy", bytes="RG")
+    assert np.array_equal(raw_depth(place, right), raw)
+    checked_raw_signs(raw_depth(place, right), place, right, tmp_path)
+    wrong = replace(right, bytes="GR")
+    with pytest.raises(DecodeError, match='swapped; turn "bytes" around in the description'):
+        checked_raw_signs(raw_depth(place, wrong), place, wrong, tmp_path)
+    far = {"bytes": "BGR", "scale": 1000 / (2**24 - 1)}
+    with pytest.raises(DecodeError, match=r"median depth .*; turn 'bytes' around in the desc"):
+        read(image, tmp_path, **far)
 
 
 def test_a_png_s_bytes_are_taken_by_its_channels_names(tmp_path: Path) -> None:
