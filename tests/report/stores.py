@@ -87,8 +87,9 @@ class Folder:
         colors = [(0, 0, 0), (0, 200, 0), (220, 0, 0)]
         description = {
             "format": "nimprep-folder",
-            "version": "1.0",
+            "version": "1.1",
             "name": "planted",
+            "split": False,
             "rgb": "rgb/{id}.png",
             "depth": {"files": "depth/{id}.png", "scale_m": 0.001},
             "label": {"files": "label/{id}.png"},
