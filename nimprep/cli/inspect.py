@@ -39,6 +39,11 @@ def inspect(src: Path, as_json: bool, write: Path | None, overwrite: bool) -> No
     found = inspect_source(src)
     if write is not None:
         if found.description is None:
+            if found.kind == "reader":
+                raise LayoutError(
+                    f"{src}: expected a folder that needs a description, found {found.what}; "
+                    f"{found.next_steps[0]} reads it as it is"
+                )
             raise LayoutError(
                 f"{src}: expected colour images to describe, found {found.what}; "
                 "leave out --write to see what is there"

@@ -104,7 +104,7 @@ def _depth(plane: Plane, encodings: Sequence[Encoding]) -> dict[str, Any]:
                 "depth": {"files": plane.pattern, **_array(plane), **encoding.document},
                 "reasons": list(encoding.reasons),
             }
-            for encoding in encodings[:3]
+            for encoding in encodings[:4]
         ],
     }
 

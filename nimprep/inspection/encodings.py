@@ -87,6 +87,14 @@ class Encoding:
     reasons: tuple[str, ...]
 
 
+_STRETCHED = (
+    "every image reaches from 0 to 65535: if each was stretched, as relative depth is, no scale "
+    "makes metres of it"
+)
+UNLIKELY = -3.0
+"""An encoding of fewer points is a guess at best."""
+
+
 def encodings_of(planes: Sequence[npt.NDArray[Any]], clues: Clues) -> list[Encoding]:
     """Return what depth images' numbers may mean, the likeliest first.
 
@@ -163,6 +171,8 @@ def _ranked(
 ) -> list[Encoding]:
     ground = ground_of(raw)
     scales = dict(table)
+    if raw.stretched:
+        said, millimetre_points = (*said, _STRETCHED), 0.0
     stated = _stated(clues.stated)
     if stated is not None and not any(math.isclose(stated, s, rel_tol=1e-3) for s in scales):
         scales[stated] = (f"1/{1 / stated:g} m", 0.0)
@@ -170,7 +180,7 @@ def _ranked(
     found = []
     for scale, (name, points) in scales.items():
         about, more = _plausibility(raw, ground, scale, clues)
-        reasons, score = [*said, *about], points + more
+        reasons, score = [*about, *said], points + more - (6 if raw.stretched else 0)
         if math.isclose(scale, MILLIMETRE) and raw.whole:
             score += millimetre_points
         if stated is not None and math.isclose(stated, scale, rel_tol=1e-3):
@@ -252,6 +262,9 @@ def disparities_of(planes: Sequence[npt.NDArray[Any]], clues: Clues) -> list[Enc
         share = most / raw.width
         score = points - (math.log(share / 0.12) / 0.8) ** 2 - (8 if share > 0.8 else 0)
         reasons = [*said, f"up to {most:.3g} pixels, {share:.0%} of the width"]
+        if raw.stretched:
+            reasons.append(_STRETCHED)
+            score -= 6
         if ground is not None and ground.slope > 0:
             reasons.append("values grow towards the bottom, as disparity does")
         document: dict[str, Any] = {"values": "disparity", "scale_px": scale, **changed}

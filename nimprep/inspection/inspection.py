@@ -120,8 +120,11 @@ def _look_at_file(made: Inspection) -> None:
     if holding is None:
         _look_at_folder(made, Survey(source.parent, (source.name,)))
         if made.kind == "images":
-            made.kind, made.what = "file", f"an image ({made.what.rpartition('as ')[2]})"
-            made.next_steps = ["inspect the folder with all of them"]
+            planes = made.found is not None and made.found.planes
+            of = f" ({made.what.rpartition('as ')[2]})" if planes else ""
+            made.kind, made.what = "file", f"an image{of}" if planes else "a file that is no image"
+            made.notes, made.description = [], None
+            made.next_steps = [f"nimprep inspect {made.source.parent} looks at all of them"]
         return
     made.kind = holding.kind if holding.kind != "image" else "file"
     made.what, made.holdings = holding.what, [holding]
@@ -200,7 +203,9 @@ def _describe(made: Inspection, found: Examination) -> None:
     try:
         description = description_from_document(described.document, "description")
         reader = FolderReader(found.survey.root, description)
-        made.notes.append(f"the description gives {len(reader.ids)} frames")
+        count, of = len(reader.ids), arrangement.color.plane.count
+        rest = f", {of - count} of {of} colour images are in none of them" if count < of else ""
+        made.notes.append(f"the description gives {count} frames{rest}")
     except NimprepError as error:
         reason = " ".join(str(error).split())
         made.notes.append(f"the description needs your help: {reason}")

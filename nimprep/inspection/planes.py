@@ -51,6 +51,12 @@ def guessed(pattern: str, samples: list[Sample]) -> Guess:
             return Guess(Kind.FLOW, named)
         if hint == Kind.NORMALS:
             return Guess(Kind.NORMALS, named)
+        single = _single_channel([sample.pixels for sample in samples])
+        if single and hint not in (Kind.DEPTH, Kind.COLOUR):
+            return Guess(Kind.LABEL, (*named, f"only {single} is not 0"), single)
+        if hint in (Kind.LABEL, Kind.INSTANCES) and _blocky([s.pixels[..., 0] for s in samples]):
+            # SYNTHIA has instances in the second.
+            return Guess(Kind.LABEL, (*named, "of 16-bit channels the first is taken"), "R")
         return Guess(Kind.COLOUR, (*named, "16-bit RGB"))
     if first.pixels.dtype.kind == "f" and first.channels == 3:
         if all(_equal_channels(sample.pixels) for sample in samples):

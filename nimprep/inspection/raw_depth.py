@@ -32,6 +32,8 @@ class RawDepth:
     least, median, most : float
         Percentiles 1, 50 and 99 of what is left.
     negative : bool
+    stretched : bool
+        Every image reaches smoothly from nothing to full scale, as relative depth does.
     """
 
     planes: tuple[npt.NDArray[np.float64], ...]
@@ -42,6 +44,7 @@ class RawDepth:
     median: float
     most: float
     negative: bool
+    stretched: bool = False
 
     @property
     def width(self) -> int:
@@ -66,6 +69,7 @@ def raw_depth_of(planes: Sequence[npt.NDArray[Any]]) -> RawDepth | None:
     for plane in wide:
         plane[plane < 0] = np.nan
     apart = _apart(wide, planes[0].dtype)
+    stretched = planes[0].dtype == np.uint16 and len(planes) > 1 and all(map(_is_stretched, planes))
     for plane in wide:
         for value in apart:
             plane[plane == value] = np.nan
@@ -74,7 +78,15 @@ def raw_depth_of(planes: Sequence[npt.NDArray[Any]]) -> RawDepth | None:
         return None
     some = every[:: max(1, every.size // _SOME)]
     low, middle, high = (float(x) for x in np.percentile(some, (1, 50, 99)))
-    return RawDepth(tuple(wide), whole, none / total, apart, low, middle, high, negative)
+    share = none / total
+    return RawDepth(tuple(wide), whole, share, apart, low, middle, high, negative, stretched)
+
+
+def _is_stretched(plane: npt.NDArray[Any]) -> bool:
+    """Tell whether an image has 0, full scale and values that come near to both."""
+    ends = int(plane.min()) == 0 and int(plane.max()) == FULL
+    low, high = ((plane > 0) & (plane < 0.03 * FULL)), ((plane > 0.97 * FULL) & (plane < FULL))
+    return ends and bool(low.any()) and bool(high.any())
 
 
 def _apart(planes: Sequence[npt.NDArray[np.float64]], dtype: np.dtype[Any]) -> tuple[float, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from nimprep.inspection.encodings import UNLIKELY
 from nimprep.inspection.kinds import Kind
 from nimprep.text import printable
 
@@ -16,7 +17,8 @@ def inspection_text(found: dict[str, Any]) -> str:
     lines = [f"{found['source']}: {found['what']}"]
     if found["files"]:
         cut = ", the first of more" if found["sampled"] else ""
-        lines.append(f"{found['files']} files{cut}")
+        many = "s" if found["files"] > 1 else ""
+        lines.append(f"{found['files']} file{many}{cut}")
     lines += _rows(found["patterns"])
     for number, depth in enumerate(found["depth"][:3]):
         lines += _depth(depth, whole=number == 0)
@@ -70,14 +72,16 @@ def _depth(depth: dict[str, Any], *, whole: bool) -> list[str]:
     best = encodings[0]
     values = best["depth"].get("values", "depth")
     close = len(encodings) > 1 and encodings[1]["score"] > best["score"] - 2
-    sure = "perhaps" if close else "likely"
+    sure = "perhaps" if close or best["score"] < UNLIKELY else "likely"
     said = {k: v for k, v in best["depth"].items() if k not in ("files", "values")}
     rest = ", ".join(f"{name} {value}" for name, value in said.items())
     lines = [f"{values} in {depth['files']}: {sure} {best['name']} ({rest})"]
     if whole:
         lines += [f"    {reason}" for reason in best["reasons"]]
         lines += [
-            f"    else {other['name']}: {other['reasons'][0]}" for other in encodings[1:2] if close
+            f"    else {other['name']}: {other['reasons'][0]}"
+            for other in encodings[1:]
+            if other["score"] > best["score"] - 2
         ]
     return lines
 
