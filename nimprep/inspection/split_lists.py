@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from nimprep.errors import DecodeError
 from nimprep.files import read_file
 from nimprep.inspection.examination import Examination
-from nimprep.inspection.words import SPLITS, words_of
+from nimprep.inspection.words import words_of
+from nimprep.readers.split_lists import CALLED
 
 _MOST_BYTES = 1 << 24
 
@@ -42,7 +43,7 @@ def split_lists(found: Examination, frames: Sequence[tuple[str, ...]]) -> SplitL
     paths = [member.path for t in found.texts for member in t.members[:50]]
     for path in sorted(paths, key=lambda path: (path.count("/"), path)):
         name = path.rpartition("/")[2]
-        split = next((SPLITS[w] for w in words_of(name.rpartition(".")[0]) if w in SPLITS), None)
+        split = next((CALLED[w] for w in words_of(name.rpartition(".")[0]) if w in CALLED), None)
         if split is None or split in files:
             continue
         named = _named(found, path, known)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from nimprep.inspection.stems import MIXED, VIEW, affixes, name_key
-from nimprep.inspection.words import SPLITS, has_role, words_of
+from nimprep.inspection.words import has_role, words_of
+from nimprep.readers.split_lists import CALLED
 
 _CAMERA = re.compile(r"(cam(era)?[_\-. ]?\d+|left|right)/", re.IGNORECASE)
 
@@ -132,7 +133,7 @@ def _classes(
     look: Callable[[str], str],
 ) -> list[tuple[list[str], str]]:
     """Return folders' names, those of scenes of one dataset together, with their placeholder."""
-    split = [name for name in children if name.lower() in SPLITS]
+    split = [name for name in children if name.lower() in CALLED]
     classes: list[tuple[list[str], set[str]]] = []
     literal: list[list[str]] = []
     roles = [name for name in children if has_role(name) and name not in split]

@@ -9,17 +9,6 @@ from nimprep.inspection.kinds import Kind
 
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 
-SPLITS = {
-    "train": "train",
-    "training": "train",
-    "val": "val",
-    "valid": "val",
-    "validation": "val",
-    "dev": "val",
-    "test": "test",
-    "testing": "test",
-}
-
 
 def _set(text: str) -> frozenset[str]:
     return frozenset(text.split())
