@@ -30,9 +30,9 @@ def inspect(src: Path, as_json: bool, write: Path | None, overwrite: bool) -> No
     """
     from nimprep.errors import LayoutError
     from nimprep.files import check_file, write_whole
+    from nimprep.inspection.document import description_bytes
     from nimprep.inspection.inspection import inspect_source
     from nimprep.inspection.wording import inspection_text
-    from nimprep.schema import json_bytes
 
     if write is not None:
         check_file(write, src, overwrite=overwrite)
@@ -48,7 +48,7 @@ def inspect(src: Path, as_json: bool, write: Path | None, overwrite: bool) -> No
                 f"{src}: expected colour images to describe, found {found.what}; "
                 "leave out --write to see what is there"
             )
-        write_whole(write, json_bytes(found.description), src, overwrite=overwrite)
+        write_whole(write, description_bytes(found.description), src, overwrite=overwrite)
         found.next_steps = [
             f"look through {write}, then: nimprep convert {src} OUT.zarr --description {write}"
         ]

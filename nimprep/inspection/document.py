@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,29 @@ from nimprep.inspection.examination import Examination, Plane
 from nimprep.inspection.holdings import Holding
 from nimprep.inspection.templates import Template
 
+_WIDTH = 100
+"""What fits in a line of so many characters stands in one."""
+
 MOST_LINES = 20
 """So many names and problems are listed."""
+
+
+def description_bytes(description: dict[str, Any]) -> bytes:
+    """Return a description as people edit it: a class, or an image of depth, in one line."""
+    return _laid_out(description, "").encode() + b"\n"
+
+
+def _laid_out(value: Any, indent: str) -> str:
+    whole = json.dumps(value)
+    if not indent or len(indent) + len(whole) > _WIDTH:
+        inner = indent + "  "
+        if isinstance(value, dict) and value:
+            lines = [f"{inner}{json.dumps(k)}: {_laid_out(v, inner)}" for k, v in value.items()]
+            return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+        if isinstance(value, list) and value:
+            lines = [inner + _laid_out(each, inner) for each in value]
+            return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+    return whole
 
 
 def found_document(

@@ -105,5 +105,5 @@ def _holdings(holdings: list[dict[str, Any]]) -> list[str]:
         inner = f": {names}{', ...' if more else ''}" if names else ""
         lines.append(f"{holding['path']} is {holding['what']}{inner}")
     if len(holdings) > _MOST_LINES:
-        lines.append(f"and {len(holdings) - _MOST_LINES} such files more")
+        lines.append(f"and {len(holdings) - _MOST_LINES} more such")
     return lines

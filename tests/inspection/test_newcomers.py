@@ -1,5 +1,6 @@
 """What somebody new to a folder could misread: numbers without a unit, images left out."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +98,26 @@ def test_one_file_is_said_to_be_one(tmp_path: Path) -> None:
     assert camera.what == "a file that is no image"
     assert image.next_steps == [f"nimprep inspect {raw / 'rgb'} looks at all of them"]
     assert "1 file\n" in inspection_text(image.to_dict())
+
+
+def test_a_description_that_is_written_has_a_class_in_a_line(tmp_path: Path) -> None:
+    label = np.zeros((64, 96), np.uint8)
+    label[30:] = 7
+    for number in range(3):
+        write_png(tmp_path / "raw" / "images" / f"{number}.png", photograph(number))
+        write_png(tmp_path / "raw" / "labels" / f"{number}.png", label)
+    target = tmp_path / "d.json"
+    done = CliRunner().invoke(main, ["inspect", str(tmp_path / "raw"), "--write", str(target)])
+    assert done.exit_code == 0
+    lines = target.read_text().splitlines()
+    assert '    {"id": 0, "name": "class 0", "color": [0, 0, 0]},' in lines
+    assert '  "label": {"files": "labels/{id}.png"},' in lines
+    assert max(map(len, lines)) <= 101
+    assert json.loads(target.read_text()) == inspect_source(tmp_path / "raw").description
+
+
+def test_a_command_that_is_misspelt_is_asked_for() -> None:
+    done = CliRunner().invoke(main, ["covert", "a", "b"])
+    assert done.exit_code == 2
+    assert "No such command 'covert'. Did you mean 'convert'?" in done.stderr
+    assert "Did you mean" not in CliRunner().invoke(main, ["xyzzy"]).stderr
