@@ -45,6 +45,8 @@ def extra_image(place: Place, name: str, source: ExtraSource) -> npt.NDArray[Any
     own = source.source_scale is None and source.source_offset is None
     if plane.is_plain and own and raw.dtype == np.uint8:
         return raw
+    if own and raw.dtype.kind == "f":
+        _refuse_fractions(raw, place)
     scale = plane.scale if source.source_scale is None else source.source_scale
     offset = plane.offset if source.source_offset is None else source.source_offset
     if own:
@@ -62,6 +64,17 @@ def extra_image(place: Place, name: str, source: ExtraSource) -> npt.NDArray[Any
     if plane.is_plain:
         return np.rint(numbers).astype(np.uint8)
     return numbers.astype(np.float32)
+
+
+def _refuse_fractions(raw: npt.NDArray[Any], place: Place) -> None:
+    """Raise `DecodeError` where what is to be stored integers has fractions: it is values."""
+    finite = raw[np.isfinite(raw)]
+    wrong = finite[finite != np.rint(finite)]
+    if wrong.size:
+        raise DecodeError(
+            f"{place.path}: expected whole numbers, those to be stored, found {wrong[0]:g}; say "
+            'what the file\'s numbers are, "source_scale": 1 where they are the values'
+        )
 
 
 def _one_channel(image: npt.NDArray[Any], place: Place) -> npt.NDArray[Any]:

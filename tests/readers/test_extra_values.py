@@ -85,6 +85,17 @@ def test_planes_reach_the_store_and_tensors_as_their_files_say(tmp_path: Path) -
         assert np.array_equal(sample["inputs"].numpy(), four[..., [2, 1, 0, 3]].transpose(2, 0, 1))
 
 
+def test_values_that_are_not_said_to_be_values_are_refused(tmp_path: Path) -> None:
+    planes = {"flow": {"files": "flow/{id}.npy", "dtype": "int16", "scale": 0.05}}
+    description = write_folder(tmp_path / "raw", planes)
+    reader = FolderReader(tmp_path / "raw", description)
+    with pytest.raises(DecodeError, match=r"0.npy: expected whole numbers, .* \"source_scale\": 1"):
+        reader.read("0")
+    whole = np.rint(flow(0))
+    np.save(tmp_path / "raw/flow/0.npy", whole)
+    assert np.allclose(reader.read("0")["flow"], whole * 0.05)
+
+
 def test_a_plane_alone_is_read_where_it_is_named(tmp_path: Path) -> None:
     description = write_folder(tmp_path / "raw")
     reader = FolderReader(tmp_path / "raw", description)
