@@ -58,7 +58,8 @@ def judged(
             notes.append(f"{len(lost)} of {len(matched.ids)} frames {what} no {name}")
     ids = tuple(i for i in matched.ids if i not in left_out)
     if not ids:
-        raise LayoutError(f"{root}: expected frames, found none that has every image; {notes[0]}")
+        reason = "; ".join(notes) or "its split leaves out all of them"
+        raise LayoutError(f"{root}: expected frames, found none that has every image; {reason}")
     left = {i: message for i, message in lacking.items() if i not in left_out}
     return replace(matched, ids=ids, lacking=left, notes=(*matched.notes, *notes))
 

@@ -124,16 +124,20 @@ def _by_template(root: Path, source: SplitSource, matched: Matched) -> OfficialS
 
 def _by_lists(root: Path, source: SplitSource, matched: Matched) -> OfficialSplits:
     """Return the splits that the description's lists name."""
-    lists = [
-        (split, path)
-        for split, files in source.lists.items()
-        for path, _ in found_files(root, files)
-    ]
+    lists = []
+    for split, files in source.lists.items():
+        found = [(split, path) for path, _ in found_files(root, files)]
+        if not found:
+            raise SplitError(
+                f"{root}: expected lists {files!r} of {split}, found none; mend the pattern"
+            )
+        lists += found
     listed = listed_splits(lists, _names(root, matched))
     if listed.unknown:
+        others = len(listed.unknown) - 1
+        more = f", and {others} more lines are none" if others else ""
         raise SplitError(
-            f"{listed.unknown[0]} is no frame's id or file, and so are {len(listed.unknown) - 1} "
-            "more lines; mend the lists, or the patterns"
+            f"{listed.unknown[0]} is no frame's id or file{more}; mend the lists, or the patterns"
         )
     rest = [i for i in matched.ids if i not in listed.of_frame]
     if rest and source.rest == "error":

@@ -263,7 +263,7 @@ def test_validate_finds_damage_in_a_plane(raw: Path, tmp_path: Path) -> None:
     [
         ({"offset": -273}, "add_offset"),
         ({"scale": 1e-9, "offset": 1e3}, "steps that float32 can tell apart"),
-        ({"kind": "image"}, "'plane' was expected"),
+        ({"kind": "image"}, "and not 'plane'"),
         ({"fill": 70000}, "expected a fill from 0 to 65535"),
     ],
 )

@@ -90,10 +90,10 @@ def test_values_that_are_not_said_to_be_values_are_refused(tmp_path: Path) -> No
     description = write_folder(tmp_path / "raw", planes)
     reader = FolderReader(tmp_path / "raw", description)
     with pytest.raises(DecodeError, match=r"0.npy: expected whole numbers, .* \"source_scale\": 1"):
-        reader.read("0")
+        reader.read("0", ("flow",))
     whole = np.rint(flow(0))
     np.save(tmp_path / "raw/flow/0.npy", whole)
-    assert np.allclose(reader.read("0")["flow"], whole * 0.05)
+    assert np.allclose(reader.read("0", ("flow",))["flow"], whole * 0.05)
 
 
 def test_a_plane_alone_is_read_where_it_is_named(tmp_path: Path) -> None:

@@ -165,3 +165,29 @@ def test_a_video_of_all_frames_is_named(tmp_path: Path) -> None:
         LayoutError, match=r"color.mp4: expected images, found a video \(MP4.*ffmpeg"
     ):
         opened(tmp_path, rgb="color.mp4")
+
+
+@pytest.mark.parametrize(
+    ("split", "said"),
+    [
+        (
+            {"of": "{scene}", "names": {"a": "skip", "b": "skip"}},
+            "its split leaves out all of them",
+        ),
+        (
+            {"lists": {"train": "none_*.txt"}, "rest": "test"},
+            r"lists 'none_\*.txt' of train, found no",
+        ),
+        (
+            {"lists": {"train": "bad.txt"}, "rest": "test"},
+            r"line 2: 'c/0' is no frame's id or file; ",
+        ),
+    ],
+)
+def test_a_split_that_finds_nothing_is_refused(
+    tmp_path: Path, split: dict[str, Any], said: str
+) -> None:
+    scenes(tmp_path, "a", "b")
+    (tmp_path / "bad.txt").write_text("a/000000\nc/0\n")
+    with pytest.raises(LayoutError, match=said):
+        opened(tmp_path, split=split)
