@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -85,7 +85,7 @@ def without_labelled(splits: OfficialSplits, matched: Matched) -> OfficialSplits
         f"the official split ({counted(splits.of_frame)}) is not kept{but}, as another is given, "
         f"or is the store's{told}"
     )
-    return OfficialSplits(stay, splits.skipped, (note,))
+    return OfficialSplits(stay, splits.skipped, (*splits.notes[: bool(splits.skipped)], note))
 
 
 _WAY_OUT = '"split": false in the description or --split-by to split anew'
@@ -119,17 +119,26 @@ def _by_template(root: Path, source: SplitSource, matched: Matched) -> OfficialS
             skipped.add(frame_id)
         else:
             found[frame_id] = split
-    return OfficialSplits(found, frozenset(skipped))
+    return OfficialSplits(found, frozenset(skipped), _skip_note(skipped, matched))
+
+
+def _skip_note(skipped: Collection[str], matched: Matched) -> tuple[str, ...]:
+    if not skipped:
+        return ()
+    return (
+        f"{len(skipped)} of {len(matched.ids)} frames are left out, as their split is to be: first "
+        f"{min(skipped)!r}",
+    )
 
 
 def _by_lists(root: Path, source: SplitSource, matched: Matched) -> OfficialSplits:
     """Return the splits that the description's lists name."""
     lists = []
-    for split, files in source.lists.items():
-        found = [(split, path) for path, _ in found_files(root, files)]
+    for called, files in source.lists.items():
+        found = [(called, path) for path, _ in found_files(root, files)]
         if not found:
             raise SplitError(
-                f"{root}: expected lists {files!r} of {split}, found none; mend the pattern"
+                f"{root}: expected lists {files!r} of {called}, found none; mend the pattern"
             )
         lists += found
     listed = listed_splits(lists, _names(root, matched))
@@ -148,7 +157,7 @@ def _by_lists(root: Path, source: SplitSource, matched: Matched) -> OfficialSpli
         )
     split = SPLITS.get(source.rest)
     if split is None:
-        return OfficialSplits(listed.of_frame, frozenset(rest))
+        return OfficialSplits(listed.of_frame, frozenset(rest), _skip_note(rest, matched))
     return OfficialSplits({**listed.of_frame, **dict.fromkeys(rest, split)})
 
 

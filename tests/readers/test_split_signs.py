@@ -191,3 +191,17 @@ def test_a_split_that_finds_nothing_is_refused(
     (tmp_path / "bad.txt").write_text("a/000000\nc/0\n")
     with pytest.raises(LayoutError, match=said):
         opened(tmp_path, split=split)
+
+
+def test_frames_that_a_split_leaves_out_are_said(tmp_path: Path) -> None:
+    scenes(tmp_path, "a", "b", "c")
+    (tmp_path / "own.txt").write_text("a/000000\n")
+    said = "2 of 3 frames are left out, as their split is to be: first 'b/000000'"
+    names = {"a": "train", "b": "skip", "c": "skip"}
+    for split in (
+        {"of": "{scene}", "names": names},
+        {"lists": {"train": "own.txt"}, "rest": "skip"},
+    ):
+        reader = opened(tmp_path, split=split)
+        assert reader.ids == ("a/000000",)
+        assert split_notes(reader) == [said]
