@@ -75,6 +75,8 @@ def _unlabelled(
         return ()
     labelled = matched.places.get("label", {})
     found: set[str] = set()
+    # Those that found no partner in time are left out already.
+    splits = {i: splits[i] for i in matched.ids if i in splits}
     for split in sorted(set(splits.values()) - {splits.get(i) for i in labelled}):
         those = [i for i, name in splits.items() if name == split]
         found.update(those)

@@ -205,3 +205,16 @@ def test_frames_that_a_split_leaves_out_are_said(tmp_path: Path) -> None:
         reader = opened(tmp_path, split=split)
         assert reader.ids == ("a/000000",)
         assert split_notes(reader) == [said]
+
+
+def test_frames_left_out_for_want_of_a_label_in_time_are_not_said_to_be_stored(
+    tmp_path: Path,
+) -> None:
+    scenes(tmp_path, "train", "test")
+    for path in tmp_path.glob("test/label/*.png"):
+        path.rename(path.with_name("000009.png"))
+    reader = opened(tmp_path, match={"by": "{name}"})
+    assert reader.ids == ("train/000000",)
+    notes = [note for note in reader.info.notes if "label" in note]
+    assert len(notes) == 1
+    assert "1 of 2 colour images have no label within 0.02 s" in notes[0]
