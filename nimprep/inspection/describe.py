@@ -112,6 +112,10 @@ def _depth(made: Arrangement, result: Described) -> dict[str, Any]:
             )
         elif not (made.camera and made.camera.calibration.keys):
             depth["baseline_m"] = numbers["baseline_m"]
+    if made.camera is None:
+        what = depth.get("values", "depth")
+        needs = "convert assumes a nominal one" if what == "depth" else f"which {what} needs"
+        result.notes.append(f"no camera found, {needs}; add 'camera', or give --intrinsics")
     return {**depth, **_missing(made, made.depth)}
 
 

@@ -121,3 +121,17 @@ def test_a_command_that_is_misspelt_is_asked_for() -> None:
     assert done.exit_code == 2
     assert "No such command 'covert'. Did you mean 'convert'?" in done.stderr
     assert "Did you mean" not in CliRunner().invoke(main, ["xyzzy"]).stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "needs"),
+    [("depth", "convert assumes a nominal one"), ("distance", "which distance needs")],
+)
+def test_a_camera_that_is_not_found_is_said(tmp_path: Path, name: str, needs: str) -> None:
+    for number in range(3):
+        write_png(tmp_path / "raw" / "rgb" / f"{number}.png", photograph(number))
+        (tmp_path / "raw" / name).mkdir(exist_ok=True)
+        metres = (2 + ramp(number)[::-1]).astype(np.float32)
+        np.save(tmp_path / "raw" / name / f"{number}.npy", metres)
+    notes = inspect_source(tmp_path / "raw").notes
+    assert f"no camera found, {needs}; add 'camera', or give --intrinsics" in notes
