@@ -113,8 +113,8 @@ def _depth(made: Arrangement, result: Described) -> dict[str, Any]:
         elif not (made.camera and made.camera.calibration.keys):
             depth["baseline_m"] = numbers["baseline_m"]
     if made.camera is None:
-        what = depth.get("values", "depth")
-        needs = "convert assumes a nominal one" if what == "depth" else f"which {what} needs"
+        values = depth.get("values")
+        needs = f"which {values} needs" if values else "convert assumes a nominal one"
         result.notes.append(f"no camera found, {needs}; add 'camera', or give --intrinsics")
     return {**depth, **_missing(made, made.depth)}
 
