@@ -102,8 +102,9 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
 
     @property
     def needs_depth(self) -> bool:
-        """Whether any modality to be stored is depth or made from it."""
-        return self.modalities is None or "depth" in given_for(self.modalities)
+        """Whether depth, or what is made from it, is to be stored, or tells what to cut off."""
+        cut = self.crop == "auto"
+        return cut or self.modalities is None or "depth" in given_for(self.modalities)
 
     @property
     def recipe(self) -> Recipe:

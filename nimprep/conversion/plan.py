@@ -143,7 +143,7 @@ def plan_modalities(reader: Reader, options: ConvertOptions) -> tuple[str, ...]:
         if name not in available:
             if name not in every:
                 raise OptionError(
-                    f"--modalities: expected some of {', '.join(available).replace('_', '-')}, "
+                    f"--modalities: expected some of {', '.join(every).replace('_', '-')}, "
                     f"found {name!r}; choose among those"
                 )
             lost = [

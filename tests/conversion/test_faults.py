@@ -100,7 +100,7 @@ def test_a_conversion_goes_on_when_a_full_disk_has_room_again(
     def convert() -> None:
         nimprep.convert(parts[0], folder / "s.zarr", shard_length=2)
 
-    faults = until_it_fits(convert, remount, 1000)
+    faults = until_it_fits(convert, remount, 1024)
     assert contents(folder / "s.zarr") == contents(tmp_path / "whole.zarr")
     assert [path.name for path in folder.iterdir()] == ["s.zarr"]
     print(f"full {faults + 1} times, at the end the same bytes")

@@ -18,8 +18,8 @@ CAMERA = (30.0, 31.0, 15.0, 11.0)
 
 
 CASES = {
-    "unknown": ({"name": "height"}, ("rgb", "height"), "height: 'kind' is a required property"),
-    "unknown, by default": ({"name": "height", "on_request": False}, None, "height: 'kind' is"),
+    "unknown": ({"name": "height"}, ("rgb", "height"), "describe height"),
+    "unknown, by default": ({"name": "height", "on_request": False}, None, "describe height"),
     "described otherwise": ({"name": "disparity"}, ("disparity",), "virtual_baseline_m"),
 }
 

@@ -107,8 +107,8 @@ def test_only_what_is_asked_for_is_decoded(root: Path) -> None:
 def test_the_depths_source_is_known_per_frame(root: Path) -> None:
     files = root / "training" / "depth_u16" / "umm_000000.png"
     files.unlink()
-    with pytest.raises(LayoutError, match=r"depth_u16/umm_000000\.png or velodyne/.* or image_3/"):
-        KittiRoadReader(root)
+    with pytest.raises(DecodeError, match=r"depth_u16/umm_000000\.png or velodyne/.* or image_3/"):
+        KittiRoadReader(root).read("training/umm_000000")
     write_png(root / "training" / "image_3" / "umm_000000.png", noise(0, HEIGHT, WIDTH, 3))
     reader = KittiRoadReader(root)
     assert reader.depth_source("training/umm_000000") == "stereo"
@@ -128,8 +128,8 @@ def test_frames_can_be_read_without_any_depth(root: Path) -> None:
 
 def test_a_training_frame_needs_its_truth(root: Path) -> None:
     (root / "training" / "gt_image_2" / "uu_road_000000.png").unlink()
-    with pytest.raises(LayoutError, match=r"uu_road_000000\.png: expected the ground truth"):
-        KittiRoadReader(root)
+    with pytest.raises(DecodeError, match=r"uu_road_000000\.png: expected the ground truth"):
+        KittiRoadReader(root).read("training/uu_000000")
     reader = KittiRoadReader(root, labels=False)
     assert reader.read("training/uu_000000").label is None
     assert reader.info.classes == ()
