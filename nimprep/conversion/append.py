@@ -119,7 +119,9 @@ def append_frames(
                 ids = tuple(facts.id for facts in records.facts)
                 grown = _finish(plan, records, old, opened, workspace, start)
                 done = Appended(grown, ids, done.existing, tuple(records.skipped))
-    for note in reader.info.notes:
+    left = [plane.name for plane in reader.info.planes if plane.name not in old.modalities]
+    lost = [f"the store has no {', '.join(left)}: these are not appended"] if left else []
+    for note in (*reader.info.notes, *lost):
         warnings.warn(f"{source}: {note}", stacklevel=2)
     warn_of_doubts(source, [d for d in done.store.about.doubts if d not in known])
     return done

@@ -34,6 +34,11 @@ def given_splits(path: Path | str, files: Mapping[str, Sequence[str]]) -> dict[s
         It is none of these, or names a frame that is not there, or one in two splits.
     """
     path = Path(path)
+    if not path.exists():
+        raise SplitError(
+            f"{path}: expected a split file (schemas/split.schema.json) or a list such as "
+            "train.txt, found nothing; check the path"
+        )
     if not _are_lists(path):
         return splits_from_file(path, tuple(files))
     lists = lists_beside(path if path.is_dir() else path.parent)

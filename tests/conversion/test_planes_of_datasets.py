@@ -202,6 +202,13 @@ def test_frames_of_other_planes_are_not_appended(
     assert contents(store.path) == before
 
 
+def test_planes_that_a_store_lacks_are_said_to_be_left_out(tmp_path: Path) -> None:
+    some, more = write_thermal(tmp_path / "a", 3), write_thermal(tmp_path / "b", 5)
+    nimprep.convert(some, tmp_path / "s.zarr", modalities=("rgb", "depth", "confidence"))
+    with pytest.warns(UserWarning, match="the store has no thermal: these are not appended"):
+        nimprep.append_frames(more, tmp_path / "s.zarr", skip_existing=True)
+
+
 def test_stores_of_the_same_planes_are_merged_and_of_others_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
