@@ -44,7 +44,7 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         "split": {
             **about.split,
             "frames": count_splits(store.splits.values()),
-            "official": _official_frames(about),
+            **({"official": official} if (official := _official_frames(about)) else {}),
         },
         "label_pixels": _label_pixels(store),
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
@@ -116,8 +116,8 @@ def info_text(info: dict[str, Any]) -> str:
     split = info["split"]
     counts = ", ".join(f"{name} {count}" for name, count in split["frames"].items())
     rule = f"by {split['rule']}" + (f", seed {split['seed']}" if "seed" in split else "")
-    if split["official"]:
-        others = info["frames"] - split["official"]
+    if official := split.get("official", 0):
+        others = info["frames"] - official
         rule = "as its authors chose" + (f", {others} of them {rule}" if others else "")
     rows = [
         ("store", f"{info['path']} (format {info['format_version']})"),

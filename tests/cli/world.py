@@ -135,7 +135,7 @@ def make_world(root: Path, classes: tuple[str, ...] = CLASSES, dataset: str = "w
         "version": "1.0",
         "name": dataset,
         "rgb": "rgb/{id}.png",
-        "depth": {"files": "depth/{id}.png", "scale_m": 0.001},
+        "depth": {"files": "depth/{id}.png", "scale_m": 0.001, "invalid": [0, 65535]},
         "label": {"files": "label/{id}.png"},
         "classes": [{"id": i, "name": name, "color": COLOURS[i]} for i, name in enumerate(classes)],
         "camera": {"fx": 30, "fy": 31, "cx": 15, "cy": 11},
