@@ -226,7 +226,7 @@ class FolderReader(ReaderBase):
             made = registered(frame_id, images, places, cameras, self._description)
         images = {**made.images, **self._none(absent, made.camera.shape)}
         return replace(
-            self._frame(frame_id, made.camera, images),
+            self._frame(frame_id, made.camera, images, camera.baseline_m),
             absent=frozenset(absent),
             signs={**signs, **orientation_signs(places, self._description)},
         )
@@ -241,7 +241,11 @@ class FolderReader(ReaderBase):
         }
 
     def _frame(
-        self, frame_id: str, camera: Camera, images: Mapping[str, npt.NDArray[Any]]
+        self,
+        frame_id: str,
+        camera: Camera,
+        images: Mapping[str, npt.NDArray[Any]],
+        baseline_m: float,
     ) -> Frame:
         return Frame(
             id=frame_id,
@@ -250,7 +254,7 @@ class FolderReader(ReaderBase):
             depth_m=images.get("depth"),
             label=images.get("label"),
             group=self.group(frame_id),
-            baseline_m=self._cameras.of(frame_id).baseline_m,
+            baseline_m=baseline_m,
             others={n: images[n] for n in self._description.planes if n in images},
         )
 
