@@ -13,16 +13,19 @@ import numpy.typing as npt
 
 from nimprep.modality import Modality
 
-FOLDERS = {"depth": "depth_u16"}
-"""Where a folder is not called as its modality: GMRP's own name."""
+FOLDERS = {("depth", 1000): "depth_u16"}
+"""Where a folder is not called as its modality, by that and its steps: GMRP's own, millimetres."""
 
 FILE = "encodings.json"
 """Says how each folder's numbers are to be read (schemas/encodings.schema.json)."""
 
 
-def folder_of(name: str) -> str:
-    """Return the folder of a modality's files."""
-    return FOLDERS.get(name, name)
+def folder_of(modality: Modality) -> str:
+    """Return the folder of a modality's files.
+
+    Depth in another unit than GMRP's does not stand where GMRP's reader would take it for that.
+    """
+    return FOLDERS.get((modality.name, modality.steps), modality.name)
 
 
 def encode_image(image: npt.NDArray[np.integer], modality: Modality) -> npt.NDArray[Any]:
@@ -57,7 +60,7 @@ def describe_encoding(modality: Modality) -> dict[str, Any]:
     else:
         times, rest = (f" / {modality.steps}" if modality.steps != 1 else ""), ""
     return {
-        "files": f"{folder_of(modality.name)}/{{id}}.png",
+        "files": f"{folder_of(modality)}/{{id}}.png",
         "holds": modality.long_name,
         "bits": 8 * np.dtype(modality.dtype).itemsize,
         "channels": list(modality.channels),

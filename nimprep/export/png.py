@@ -2,7 +2,7 @@
 
 OUT/
   rgb/000001.png         8-bit colour
-  depth_u16/000001.png   16-bit, millimetres; 0 = no depth
+  depth_u16/000001.png   16-bit, millimetres; 0 = no depth (depth/ where a store has another unit)
   label/000001.png       8-bit class ids; 255 = ignore
   thermal/000001.png     and other planes of the dataset's own, as the description says
   camera.json            of all frames, or camera/000001.json ... where they differ
@@ -12,10 +12,10 @@ OUT/
 Modalities that are asked for by name stand in folders of their names (``hha/000001.png``,
 ``normal/000001.png``), encoded as `nimprep.export.encoding` says and ``encodings.json`` repeats.
 
-What the layout has no place for is not there: the transform to the road, and the direction of
-gravity. Where a store has that transform (KITTI), HHA made from the folder differs from its HHA.
-Planes of negative integers that have one for none are left out, which is said, unless they are
-asked for by name.
+The cameras hold the transform to the road where a frame has one, so that what is derived from the
+folder is what the store has, the direction of gravity too. How it was derived is for the options of
+`convert`, which are the same again where the store was made by its defaults. Planes of negative
+integers that have one for none are left out, which is said, unless they are asked for by name.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ def write_frame(
     """Write a frame's images, each at the frame's own size, numbers as the store has them."""
     height, width = store.camera(index).shape
     for name in modalities:
-        image = store.arrays[name].read(index)[:height, :width]
-        encoded = encode_image(image, store.modality(name))
-        write_new(folder / folder_of(name) / file, png_bytes(np.ascontiguousarray(encoded)))
+        image, modality = store.arrays[name].read(index)[:height, :width], store.modality(name)
+        encoded = encode_image(image, modality)
+        write_new(folder / folder_of(modality) / file, png_bytes(np.ascontiguousarray(encoded)))
 
 
 def raw_modalities(store: Store) -> list[str]:
@@ -125,10 +125,11 @@ def write_records(
 
 def camera_document(store: Store, index: int) -> dict[str, Any]:
     """Return a frame's camera (schemas/camera.schema.json), and where it came from."""
-    baseline_m = float(store.tables.baseline[index])
+    baseline_m, transform = float(store.tables.baseline[index]), store.cam_to_road(index)
     return {
         **store.camera(index).to_dict(),
         **({} if math.isnan(baseline_m) else {"baseline_m": baseline_m}),
+        **({} if transform is None else {"cam_to_road": transform.tolist()}),
         # No part of a camera, but a nominal one should not pass for a calibration.
         "origin": store.about.calibration["origin"],
     }
@@ -147,12 +148,13 @@ def describe(
     store: Store, numbers: Sequence[int], camera: str, modalities: Sequence[str]
 ) -> dict[str, Any]:
     """Return the description of the exported folder (schemas/folder.schema.json)."""
+    depth = describe_encoding(store.modality("depth"))
     document: dict[str, Any] = {
         "format": "nimprep-folder",
         "version": "1.0",
         "name": store.about.dataset,
         "rgb": "rgb/{id}.png",
-        "depth": {"files": "depth_u16/{id}.png", "scale_m": 0.001},
+        "depth": {"files": depth["files"], "scale_m": depth["scale"]},
         "camera": camera,
     }
     planes = [plane for plane in store.planes if plane.name in modalities]

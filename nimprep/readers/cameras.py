@@ -42,6 +42,8 @@ class GivenCamera:
         Of the images as they are; None = none.
     scales : bool
         Whether images of another size of the same shape have the intrinsics scaled.
+    cam_to_road : 12 numbers, optional
+        Transform from the camera frame to the road frame, (3, 4) row by row, metres.
     """
 
     origin: CalibrationOrigin
@@ -51,6 +53,7 @@ class GivenCamera:
     baseline_m: float = math.nan
     distortion: Distortion | None = None
     scales: bool = False
+    cam_to_road: tuple[float, ...] | None = None
 
     def camera(self, height: int, width: int, frame_id: str) -> Camera:
         """Return the camera of a frame of this size.
@@ -76,6 +79,10 @@ class GivenCamera:
         return Camera(*self.intrinsics, width=self.size[1], height=self.size[0]).resize(
             height, width
         )
+
+    def transform(self) -> npt.NDArray[np.float64] | None:
+        """Return `cam_to_road` as (3, 4); None = none."""
+        return None if self.cam_to_road is None else np.array(self.cam_to_road).reshape(3, 4)
 
     def ray_lengths(self, height: int, width: int, frame_id: str) -> npt.NDArray[np.float64]:
         """Return how much longer each pixel's ray is than its depth, as (H, W), read-only.
@@ -201,8 +208,17 @@ def camera_from_numbers(found: CameraNumbers, where: str, source: CameraSource) 
                 f"{where}: expected a camera for {size[1]}x{size[0]} pixels as for_size says, "
                 f"found one for {found.size[1]}x{found.size[0]}; leave for_size out"
             )
-    given = GivenCamera("file", where, numbers, size, baseline_m, found.distortion)
-    return with_distortion(replace(given, scales=source.for_size is not None), source.distortion)
+    given = GivenCamera(
+        "file",
+        where,
+        numbers,
+        size,
+        baseline_m,
+        found.distortion,
+        scales=source.for_size is not None,
+        cam_to_road=found.cam_to_road,
+    )
+    return with_distortion(given, source.distortion)
 
 
 def with_distortion(given: GivenCamera, what: DistortionRule) -> GivenCamera:

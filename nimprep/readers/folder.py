@@ -226,7 +226,7 @@ class FolderReader(ReaderBase):
             made = registered(frame_id, images, places, cameras, self._description)
         images = {**made.images, **self._none(absent, made.camera.shape)}
         return replace(
-            self._frame(frame_id, made.camera, images, camera.baseline_m),
+            self._frame(frame_id, made.camera, images, camera),
             absent=frozenset(absent),
             signs={**signs, **orientation_signs(places, self._description)},
         )
@@ -245,7 +245,7 @@ class FolderReader(ReaderBase):
         frame_id: str,
         camera: Camera,
         images: Mapping[str, npt.NDArray[Any]],
-        baseline_m: float,
+        given: GivenCamera,
     ) -> Frame:
         return Frame(
             id=frame_id,
@@ -254,7 +254,8 @@ class FolderReader(ReaderBase):
             depth_m=images.get("depth"),
             label=images.get("label"),
             group=self.group(frame_id),
-            baseline_m=baseline_m,
+            baseline_m=given.baseline_m,
+            cam_to_road=given.transform(),
             others={n: images[n] for n in self._description.planes if n in images},
         )
 

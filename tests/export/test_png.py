@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import nimprep
 from nimprep.cli import main
-from nimprep.errors import StoreError
+from nimprep.errors import CameraError, StoreError
 from nimprep.export import export_frames
 from nimprep.export.png import group_pattern
 from nimprep.schema import schema_problems
@@ -32,7 +32,7 @@ def assert_same(a: Store, b: Store) -> None:
     assert a.classes == b.classes
     assert a.splits == b.splits
     assert a.tables.group == b.tables.group
-    for name in ("image_size", "intrinsics", "baseline"):
+    for name in ("image_size", "intrinsics", "baseline", "cam_to_road"):
         np.testing.assert_array_equal(getattr(a.tables, name), getattr(b.tables, name))
     assert a.modalities == b.modalities
     for modality in a.modalities:
@@ -199,6 +199,52 @@ def test_what_a_store_lacks_is_left_out(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"expected one of rgb, depth, label .* found normal"):
         export_frames(derived, tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+TO_ROAD = [[0.0, -1.0, 0.0, 0.25], [1.0, 0.0, 0.0, 1 / 3], [0.0, 0.0, 1.0, -0.5]]
+
+
+def test_the_transform_to_the_road_and_gravity_convert_back(tmp_path: Path) -> None:
+    description = write_mixed(tmp_path / "raw", cameras=True)
+    cameras = sorted((tmp_path / "raw" / "cam").rglob("*.json"))
+    # One frame has none.
+    for number, path in enumerate(cameras[1:]):
+        rows = [TO_ROAD[1], [-x for x in TO_ROAD[0]], TO_ROAD[2]] if number else TO_ROAD
+        path.write_text(json.dumps({**json.loads(path.read_text()), "cam_to_road": rows}))
+    options = {"description": description, "modalities": ["rgb", "depth", "label", "hha"]}
+    store = nimprep.convert(tmp_path / "raw", tmp_path / "s.zarr", **options)
+    assert store.cam_to_road(0) is None
+    np.testing.assert_array_equal(store.cam_to_road(1), TO_ROAD)
+    # The road's down, in the camera frame: the second row.
+    np.testing.assert_array_equal(store.tables.gravity[1], TO_ROAD[1][:3])
+    np.testing.assert_array_equal(store[1].cam_to_road, TO_ROAD)
+    export_frames(store, tmp_path / "out")
+    schema = json.loads((tmp_path / "out" / "camera" / f"{store.ids[1]}.json").read_text())
+    assert schema_problems(schema, "camera") == []
+    files = {"description": tmp_path / "out" / "description.json"}
+    files["split_file"] = tmp_path / "out" / "split.json"
+    wanted = options["modalities"]
+    again = nimprep.convert(tmp_path / "out", tmp_path / "t.zarr", modalities=wanted, **files)
+    assert_same(store, again)
+    np.testing.assert_array_equal(store.tables.gravity, again.tables.gravity)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]],
+        [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "none",
+        None,
+    ],
+)
+def test_a_transform_that_is_none_is_refused(tmp_path: Path, given: object) -> None:
+    raw = write_gmrp(tmp_path / "raw")
+    camera = {"fx": 30, "fy": 30, "cx": 15, "cy": 12, "cam_to_road": given}
+    (raw / "camera.json").write_text(json.dumps(camera))
+    with pytest.raises(CameraError, match=r"camera.json: expected .*cam_to_road"):
+        nimprep.convert(raw, tmp_path / "s.zarr")
 
 
 def test_real_frames_convert_back(reference_data: Path, tmp_path: Path) -> None:

@@ -11,7 +11,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from nimprep.errors import CameraError
 from nimprep.readers.camera_formats.numbers import (
@@ -39,6 +42,8 @@ _PREFIXES = ("", "Camera.", "Camera1.")
 _BROWN_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _SUSPECT = re.compile(r"distort|^dist|^radial|^tangential|coef|^(k\d+|p[12])$", re.IGNORECASE)
 _DEEPEST = 5
+_ROTATION_TOLERANCE = 1e-3
+"""KITTI's rotations, which have 12 digits, are off by 1e-7 once several are multiplied."""
 
 
 def numbers_of_document(document: Any, where: str, source: CameraSource) -> CameraNumbers | None:
@@ -141,9 +146,7 @@ def _with_baseline(camera: CameraNumbers, outer: Any) -> CameraNumbers:
     baseline = number_of(_at(outer, "extrinsic.baseline"))
     if math.isnan(baseline) or not math.isnan(camera.baseline_m):
         return camera
-    return CameraNumbers(
-        camera.intrinsics, "Cityscapes camera", camera.size, baseline, camera.distortion
-    )
+    return replace(camera, format="Cityscapes camera", baseline_m=baseline)
 
 
 def _first(document: Mapping[str, Any], names: tuple[str, ...]) -> Any:
@@ -196,6 +199,23 @@ def _camera(document: Mapping[str, Any], where: str) -> CameraNumbers | None:
         _distortion(document, where),
         rectified,
         pixel_origin=1 if number_of(document.get("pixel_origin")) == 1 else 0,
+        cam_to_road=_transform(document.get("cam_to_road"), where),
+    )
+
+
+def _transform(given: Any, where: str) -> tuple[float, ...] | None:
+    """Return a transform's 12 numbers; None = the file says none."""
+    if given is None:
+        return None
+    numbers = numbers_in(given)
+    if len(numbers) == 12:
+        rotation = np.array(numbers).reshape(3, 4)[:, :3]
+        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if off <= _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0:
+            return numbers
+    raise CameraError(
+        f"{where}: expected cam_to_road to be a rotation and a shift, 3 rows of 4 numbers, found "
+        f"{str(given)[:80]}; give [[r, r, r, t], ...] in metres, or leave it out"
     )
 
 

@@ -34,6 +34,8 @@ class CameraNumbers:
         Of the images after rectification, where the file says it.
     pixel_origin : {0, 1}
         Coordinate of the centre of the top-left pixel.
+    cam_to_road : 12 numbers, optional
+        Transform from the camera frame to the road frame, (3, 4) row by row, metres.
     """
 
     intrinsics: Intrinsics
@@ -43,6 +45,7 @@ class CameraNumbers:
     distortion: Distortion | None = None
     rectified: Intrinsics | None = None
     pixel_origin: int = 0
+    cam_to_road: tuple[float, ...] | None = None
 
 
 def number_of(value: Any) -> float:
