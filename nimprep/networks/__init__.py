@@ -9,16 +9,20 @@ their papers, with the channels and layers of the public implementations.
 """
 
 from nimprep.networks.build import NETWORKS, build_network
+from nimprep.networks.checkpoint import Checkpoint, read_checkpoint, save_checkpoint
 from nimprep.networks.network import Loaded, Logits, Network
 from nimprep.networks.weights import count_parameters, load_weights, save_weights
 
 __all__ = [
     "NETWORKS",
+    "Checkpoint",
     "Loaded",
     "Logits",
     "Network",
     "build_network",
     "count_parameters",
     "load_weights",
+    "read_checkpoint",
+    "save_checkpoint",
     "save_weights",
 ]

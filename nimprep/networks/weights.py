@@ -19,12 +19,13 @@ from nimprep.networks.vgg import VGG16
 FIRST = ("features.0.weight", "conv1.weight", "features.conv0.weight")
 """The first convolution of VGG, ResNet and DenseNet, which sees the image."""
 
-_MARK = "nimprep_network"
+MARK = "nimprep_network"
+"""The key of a file's dict that holds all of a network, under "state"."""
 
 
 def save_weights(network: Network, path: Path | str) -> None:
     """Write all of a network's weights, for `load_weights` to restore the whole."""
-    torch.save({_MARK: type(network).__name__, "state": network.state_dict()}, path)
+    torch.save({MARK: type(network).__name__, "state": network.state_dict()}, path)
 
 
 def load_weights(network: Network, path: Path) -> Loaded:
@@ -40,28 +41,47 @@ def load_weights(network: Network, path: Path) -> Loaded:
     ArrayError
         The file cannot be read, is another network's, or has nothing for this one.
     """
-    try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise ArrayError(f"{path}: expected a file of weights, found {reason}") from error
-    if not isinstance(found, dict):
-        raise ArrayError(f"{path}: expected tensors by name, found {type(found).__name__}")
-    if _MARK in found:
+    found = read_weights(path)
+    if MARK in found:
         return _whole(network, found, path)
     state = found.get("state_dict", found)
     tensors = {str(k): v for k, v in state.items() if isinstance(v, Tensor)}
     return _encoders(network, tensors, path)
 
 
+def read_weights(path: Path) -> dict[str, Any]:
+    """Return the dict in a file of weights, on the CPU; nothing in it is run.
+
+    Raises
+    ------
+    ArrayError
+        It cannot be read, or holds something else.
+    """
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
+        reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+        raise ArrayError(f"{path}: expected a file of weights, found {reason}") from error
+    if not isinstance(found, dict):
+        raise ArrayError(f"{path}: expected tensors by name, found {type(found).__name__}")
+    return found
+
+
+def tensors_in(found: Mapping[str, Any]) -> dict[str, Tensor]:
+    """Return the tensors that a file has under "state", none where it has no such dict."""
+    state = found.get("state")
+    named = state.items() if isinstance(state, dict) else ()
+    return {str(name): value for name, value in named if isinstance(value, Tensor)}
+
+
 def _whole(network: Network, found: Mapping[str, Any], path: Path) -> Loaded:
     own = network.state_dict()
-    state = found.get("state", {})
+    state = tensors_in(found)
     shapes = {name: tuple(tensor.shape) for name, tensor in state.items()}
     if shapes != {name: tuple(tensor.shape) for name, tensor in own.items()}:
         raise ArrayError(
             f"{path}: expected weights of this {type(network).__name__}, found those of a "
-            f"{found[_MARK]} of other sizes; build it with the same inputs, classes and width"
+            f"{found[MARK]} of other sizes; build it with the same inputs, classes and width"
         )
     network.load_state_dict(state)
     return Loaded(tuple(own), (), (), ())
