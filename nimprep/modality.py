@@ -108,6 +108,9 @@ class Modality:
         What becomes of it when the frame is mirrored left to right.
     divisor : float
         Tensors are divided by this, in `units`, for networks to start from; vectors never are.
+    cut : (float, float), optional
+        Before that, numbers of tensors beyond these two, in `units`, become the nearer of them;
+        None = none does.
     picture : Picture
         How people are shown it.
     title, about : str
@@ -142,6 +145,7 @@ class Modality:
     resize: Resize = "nearest"
     flip: Literal["mirror", "mirror and negate x"] = "mirror"
     divisor: float = 1
+    cut: tuple[float, float] | None = None
     picture: Picture = "low and high"
     title: str = ""
     about: str = ""
@@ -285,8 +289,9 @@ MODALITIES: dict[str, Modality] = {
             steps=128,
             fill=-32768,
             resize="nearest by width",
-            # What lies on a road is off by a few.
+            # What lies on a road is off by a few; a wrong match by as much as it likes.
             divisor=16,
+            cut=(-32, 32),
             derived=Derivation(
                 make="nimprep.derive.road_profile:make_transformed_disparity",
                 describe="nimprep.derive.road_profile:describe_transformed_disparity",
@@ -302,8 +307,9 @@ MODALITIES: dict[str, Modality] = {
             dtype="int16",
             steps=1000,
             fill=-32768,
-            # What stands on a road is about as high.
+            # What stands on a road is about as high, and lorries twice; noise far away is more.
             divisor=2,
+            cut=(-4, 4),
             derived=Derivation(
                 make="nimprep.derive.elevation:make_elevation",
                 describe="nimprep.derive.elevation:describe_elevation",

@@ -41,14 +41,17 @@ def scaled_some(stored, scale, offset, out):
 
 @kernel(
     [
-        "(uint16[::1], int64, float32, float32, float32, float32[::1])",
-        "(int16[::1], int64, float32, float32, float32, float32[::1])",
+        "(uint16[::1], int64, float32, float32, float32, float32, float32, float32[::1])",
+        "(int16[::1], int64, float32, float32, float32, float32, float32, float32[::1])",
     ]
 )
-def scaled_plane(stored, none, steps, scale, offset, out):
-    """Write integers over ``steps``, times `scale` plus `offset`; what is `none` becomes 0."""
+def scaled_plane(stored, none, steps, low, high, scale, offset, out):
+    """Write integers over ``steps``, cut to `low` and `high`, times `scale` plus `offset`.
+
+    What is `none` becomes 0.
+    """
     for i in range(out.size):
-        value = np.float32(stored[i]) / steps * scale + offset
+        value = min(max(np.float32(stored[i]) / steps, low), high) * scale + offset
         out[i] = value if stored[i] != none else np.float32(0)
 
 

@@ -20,7 +20,7 @@ from nimprep.store.storage import Storage
 from nimprep.torch.balance import Weighting, class_count, class_weights, frame_weights, label_pixels
 from nimprep.torch.batches import BatchMaker
 from nimprep.torch.collation import Batch, Sample, collate
-from nimprep.torch.scaling import Normalization, Scaling, scaling_from
+from nimprep.torch.scaling import Normalization, Scaling, scaling_from, with_cut
 from nimprep.torch.setups import Setup, channels_of, check_dtype, select
 from nimprep.torch.stored_images import NormalsFrom, StoredImages, merged_classes
 from nimprep.torch.transforms.composition import adapted
@@ -56,13 +56,15 @@ class StoreDataset(Dataset[dict[str, Any]]):
         One of `SETUPS`: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d; disparity,
         t-disparity, elevation, rgb+disparity, rgb+t-disparity, rgb+elevation, where the store has
         what they need; depth3, depth+mask, depth-minmax, tdisp, rgb+depth3, rgb+depth-minmax,
-        rgb+tdisp: see `nimprep.torch.views`; and planes that the store has of its own, alone or
-        with others: ("thermal",), ("rgb", "thermal"), ("rgb", "d", "thermal"), or as one text
-        rgb+thermal, which type checkers do not know.
+        rgb+tdisp: see `nimprep.torch.views`. Or any mix of modalities, of their views, and of
+        planes that the store has of its own: ("elevation", "normal"), ("rgb", "d", "thermal"), or
+        as one text rgb+normal+elevation, which type checkers do not know.
     fusion : bool
-        Keep the setup's two modalities apart, as a pair, for a network with two encoders.
+        Keep what the setup is made of apart, for a network with two encoders or more: a tensor per
+        modality, or per entry of a mix, ("rgb", "normal+elevation") giving 3 and 4 channels.
     modalities : sequence of str, optional
-        In place of a setup: a tensor per name; "label" only if named.
+        In place of a setup: a tensor per name, or with `fusion` all of them as "inputs"; "label"
+        only if named.
     transform : callable, optional
         Called with each sample before it is normalised: a dict of "rgb" (3, H, W) uint8, "depth"
         (1, H, W) float32 metres, "normal" (3, H, W) float32, "hha" (3, H, W) uint8, "disparity",
@@ -77,14 +79,19 @@ class StoreDataset(Dataset[dict[str, Any]]):
         from the stored depth as a frame is read.
     normalize : str or Scaling, optional
         None or "constants": rgb and hha divided by 255, depth by 10 m, disparity by 64 pixels,
-        transformed disparity by 16, elevation by 2 m, planes by the largest number, by its size,
-        that their integers say. "train": mean 0 and standard deviation 1 by
-        the train split's statistics for rgb, depth, hha and planes, the constants for the
-        others.
+        transformed disparity by 16, elevation by 2 m, both cut to twice that (see `cut`), planes
+        by the largest number, by its size, that their integers say. "train": mean 0 and standard
+        deviation 1 by the train split's statistics for rgb, depth, hha and planes, the constants
+        for the others.
         "imagenet": rgb by the mean and deviation that encoders trained on ImageNet expect, the
         constants for the others. "none":
         rgb and hha in 0-255, the others in metres and pixels. Where there is none of them it is 0,
         which is also the road's transformed disparity and elevation; normals stay as they are.
+    cut : mapping of str to (float, float), optional
+        The range that a modality's numbers are cut to before they are scaled, in its unit, as
+        {"elevation": (-1, 3)}; None for a name = uncut. What is not named keeps its own: -4 to 4 m
+        of elevation and -32 to 32 pixels of transformed disparity, unless `normalize` is "none" or
+        a `Scaling`, which says it itself; all others are uncut. `scaling.cut` is what applies.
     classes : mapping of str to int, optional
         The label that each of the store's classes, by its name, becomes: 0 to 254, or 255 to be
         ignored; "*" stands for all that are not named. None = the labels as they are stored.
@@ -125,6 +132,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
         modalities: Sequence[str] | None = None,
         normals: NormalsFrom = "cached",
         normalize: Normalization | Scaling | None = None,
+        cut: Mapping[str, tuple[float, float] | None] | None = None,
         classes: Mapping[str, int] | None = None,
         dtype: Literal["float32", "stored"] = "float32",
         seed: int = 0,
@@ -143,7 +151,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
         self.split = split
         self.indices = _frames(self.store, split)
         self.ids = tuple(self.store.ids[i] for i in self.indices)
-        self.scaling = scaling_from(normalize, self.store, self.selection.modalities)
+        used = self.selection.modalities
+        self.scaling = with_cut(scaling_from(normalize, self.store, used), cut or {}, used)
         self.transform = None if transform is None else adapted(transform)
         self._checked_bytes = normalize != "none"
         self.dtype = dtype
@@ -163,8 +172,17 @@ class StoreDataset(Dataset[dict[str, Any]]):
         label = ", label" if self.selection.label else ""
         return (
             f"<StoreDataset {self.store.path}: {len(self)} frames of {self.split or 'all splits'}, "
-            f"{tensors}{label}, {width}x{height}>"
+            f"{tensors}{label}, {width}x{height}{self._cut_in_words()}>"
         )
+
+    def _cut_in_words(self) -> str:
+        """Say which numbers are cut to which range, in their units."""
+        words = ""
+        for name in self.selection.modalities:
+            if name in self.scaling.cut:
+                low, high = self.scaling.cut[name]
+                words += f"; {name} cut to {low:g} to {high:g} {self.images.modality(name).units}"
+        return words.rstrip()
 
     @property
     def epoch(self) -> int | None:
@@ -336,7 +354,10 @@ class StoreDataset(Dataset[dict[str, Any]]):
         )
         for name, part in zip(group, torch.split(out, channels), strict=True):
             if name in VIEWS:
-                VIEWS[name].write(raw[VIEWS[name].of], self.scaling.apply, part)
+                of = VIEWS[name].of
+                values = torch.empty_like(raw[of], dtype=torch.float32)
+                self.scaling.cut_alone().apply(of, raw[of], values)
+                VIEWS[name].write(values, self.scaling.apply, part)
             else:
                 self.scaling.apply(name, raw[name], part)
         return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -26,6 +26,10 @@ _CONSTANTS: dict[str, tuple[float, ...]] = {
     if modality.values not in ("vectors", "classes")
 }
 
+_CUT: dict[str, tuple[float, float]] = {
+    name: modality.cut for name, modality in MODALITIES.items() if modality.cut is not None
+}
+
 # Kept for a release, for those who import them: `nimprep.modality` says them.
 DEPTH_SCALE_M = MODALITIES["depth"].divisor
 DISPARITY_SCALE_PX = MODALITIES["disparity"].divisor
@@ -40,7 +44,7 @@ Normalization = Literal["constants", "train", "imagenet", "none"]
 
 @dataclass(frozen=True)
 class Scaling:
-    """Scale and offset per modality and channel.
+    """Scale and offset per modality and channel, and the range that its numbers are cut to.
 
     A pixel without depth, normal, HHA, disparity or a plane's number stays 0 whatever the scaling,
     so that 0 says "none". Transformed disparity and elevation become 0 too where there is
@@ -52,12 +56,18 @@ class Scaling:
         For rgb and hha in 0-255, depth and elevation in metres, disparities in pixels, planes,
         which have one channel, in their units. Modalities
         not named are left as they are; normals always are.
+    cut : dict of modality to (float, float)
+        Numbers beyond these, in the same units, become the nearer of them before they are scaled;
+        of modalities of one number per pixel. Those not named are not cut.
     """
 
     scale: dict[str, tuple[float, ...]]
     offset: dict[str, tuple[float, ...]]
+    cut: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name, ends in self.cut.items():
+            _check_cut(name, ends)
         for values in (self.scale, self.offset):
             for name, row in values.items():
                 scaled = name in _CONSTANTS or name not in MODALITIES
@@ -69,8 +79,8 @@ class Scaling:
 
     @classmethod
     def constants(cls) -> Scaling:
-        """Divide rgb and hha by 255, the others by what their records say; no offsets."""
-        return cls(dict(_CONSTANTS), {})
+        """Cut and divide by what each record says, rgb and hha by 255; no offsets."""
+        return cls(dict(_CONSTANTS), {}, dict(_CUT))
 
     @classmethod
     def imagenet(cls) -> Scaling:
@@ -81,7 +91,8 @@ class Scaling:
         """
         mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
         offset = tuple(-m / s for m, s in zip(mean, std, strict=True))
-        return cls({**_CONSTANTS, "rgb": tuple(1 / (255 * s) for s in std)}, {"rgb": offset})
+        scale = {**_CONSTANTS, "rgb": tuple(1 / (255 * s) for s in std)}
+        return cls(scale, {"rgb": offset}, dict(_CUT))
 
     @classmethod
     def none(cls) -> Scaling:
@@ -93,8 +104,8 @@ class Scaling:
         """Bring each channel to mean 0 and standard deviation 1 over a split's pixels.
 
         Of rgb, depth, hha and planes; a store keeps no sums of the others. Disparities and
-        elevation are divided by the constants, which leave the road of transformed disparity and
-        elevation at 0.
+        elevation are cut and divided by the constants, which leave the road of transformed
+        disparity and elevation at 0.
 
         Raises
         ------
@@ -120,7 +131,16 @@ class Scaling:
             # A channel that is the same everywhere has nothing to be divided by.
             scale[name] = tuple(1 / s if s > 0 else 1.0 for s in found.std)
             offset[name] = tuple(-m * s for m, s in zip(found.mean, scale[name], strict=True))
-        return cls(scale, offset)
+        return cls(scale, offset, dict(_CUT))
+
+    def cut_alone(self) -> Scaling:
+        """Return what cuts as this does and scales nothing."""
+        return Scaling({}, {}, self.cut)
+
+    def ends(self, name: str) -> tuple[np.float32, np.float32]:
+        """Return the range that a modality's numbers are cut to; infinite where they are not."""
+        low, high = self.cut.get(name, (-math.inf, math.inf))
+        return np.float32(low), np.float32(high)
 
     def rows(self, name: str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Return a modality's scale and offset, (C,) float32 each."""
@@ -144,6 +164,8 @@ class Scaling:
         out.copy_(image)
         if name in MODALITIES and name not in _CONSTANTS:
             return
+        if name in self.cut:
+            out.clamp_(*self.cut[name])
         scale, offset = (torch.from_numpy(row).to(out.device) for row in self.rows(name))
         out.mul_(scale[:, None, None]).add_(offset[:, None, None])
         modality = MODALITIES.get(name)
@@ -154,7 +176,47 @@ class Scaling:
 
 
 def _and(scale: Mapping[str, tuple[float, ...]], scaling: Scaling) -> Scaling:
-    return Scaling({**scaling.scale, **scale}, scaling.offset)
+    return Scaling({**scaling.scale, **scale}, scaling.offset, scaling.cut)
+
+
+def _check_cut(name: str, ends: object) -> None:
+    """Raise `ArrayError` where numbers cannot be cut so."""
+    modality = MODALITIES.get(name)
+    if modality is not None and modality.values != "numbers":
+        single = ", ".join(n for n, m in MODALITIES.items() if m.values == "numbers")
+        raise ArrayError(
+            f"cut: expected modalities of one number per pixel ({single}, planes), found {name!r}; "
+            "leave it out"
+        )
+    pair = tuple(ends) if isinstance(ends, (tuple, list)) else ()
+    if len(pair) != 2 or not all(isinstance(x, (int, float)) for x in pair):
+        raise ArrayError(f"cut: expected two numbers for {name}, found {ends!r}; give (low, high)")
+    if not (math.isfinite(pair[0]) and math.isfinite(pair[1]) and pair[0] < pair[1]):
+        raise ArrayError(
+            f"cut: expected finite numbers, the lower first, for {name}, found {ends!r}; give "
+            "(low, high)"
+        )
+
+
+def with_cut(
+    scaling: Scaling, cut: Mapping[str, tuple[float, float] | None], names: Iterable[str]
+) -> Scaling:
+    """Return the scaling with other ranges to cut to; None for a name = not cut.
+
+    Raises
+    ------
+    ArrayError
+        A name is none of `names`, its values are no numbers, or the range is none.
+    """
+    used = tuple(names)
+    if unused := [name for name in cut if name not in used]:
+        raise ArrayError(
+            f"cut: expected some of {', '.join(used)}, which the setup has, found {unused[0]!r}; "
+            "leave it out"
+        )
+    merged = {**scaling.cut, **cut}
+    kept = {name: ends for name, ends in merged.items() if ends is not None}
+    return Scaling(scaling.scale, scaling.offset, kept)
 
 
 def scaling_from(
@@ -169,7 +231,7 @@ def scaling_from(
     """
     planes = {plane.name: (1 / plane.divisor,) for plane in store.planes}
     if isinstance(normalize, Scaling):
-        named = {*normalize.scale, *normalize.offset}
+        named = {*normalize.scale, *normalize.offset, *normalize.cut}
         if unknown := sorted(named - {*_CONSTANTS, *planes}):
             raise ArrayError(
                 f"scaling: expected some of {', '.join((*_CONSTANTS, *planes))}, found "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nimprep.errors import ArrayError
-from nimprep.modality import MODALITIES
+from nimprep.modality import MODALITIES, modality_name
 from nimprep.torch.views import VIEWS
 
 CHANNELS: dict[str, int] = {
@@ -92,8 +92,8 @@ class Selection:
     label : bool
         Whether there is a label.
     inputs : tuple of tuple of str
-        The modalities of each tensor in "inputs"; two where a pair is fused. Empty: one tensor
-        per name in place of "inputs".
+        The modalities of each tensor in "inputs"; two or more where they are fused. Empty: one
+        tensor per name in place of "inputs".
     """
 
     images: tuple[str, ...]
@@ -128,15 +128,19 @@ def select(
     Parameters
     ----------
     setup : str or tuple of str, optional
-        One of `SETUPS`, or of several parts: ("rgb", "thermal"), or as one text "rgb+thermal",
-        which type checkers do not know.
+        One of `SETUPS`, or any mix of modalities, views, planes and setups: ("rgb", "elevation",
+        "thermal"), or as one text "rgb+elevation+thermal", which type checkers do not know.
+    fusion : bool
+        A tensor for each modality of a setup or of `modalities`; of a tuple for each entry, which
+        may be several joined by "+": ("rgb", "normal+elevation").
     planes : collection of str
         The names of the store's own, which `modalities` may have too, and setups of several parts.
 
     Raises
     ------
     ArrayError
-        The setup or a modality is unknown; both or neither are given; `fusion` does not fit.
+        The setup or a modality is unknown or named twice; both or neither are given; there is
+        nothing to fuse.
     """
     if (setup is None) == (modalities is None):
         raise ArrayError(
@@ -145,26 +149,39 @@ def select(
         )
     if modalities is not None:
         return _own_mix(modalities, fusion, planes)
-    names = _named(setup if isinstance(setup, str) else "+".join(setup or ()), planes)
-    if fusion and len(names) < 2:
+    groups = _groups(setup or (), planes)
+    names = tuple(name for group in groups for name in group)
+    if not fusion:
+        return Selection(names, True, (names,))
+    if len(groups) < 2:
         pairs = ", ".join(name for name, parts in SETUPS.items() if len(parts) == 2)
-        raise ArrayError(f"fusion: expected a setup of two modalities ({pairs}), found {setup!r}")
-    return Selection(names, True, tuple((name,) for name in names) if fusion else (names,))
+        raise ArrayError(
+            f"fusion: expected a setup of two modalities ({pairs}) or more, found {setup!r}; name "
+            "what to fuse it with"
+        )
+    return Selection(names, True, groups)
 
 
-def _named(setup: str, planes: Collection[str]) -> tuple[str, ...]:
-    """Return the modalities of a setup: one of the papers', or with planes, joined by "+"."""
+def _groups(setup: str | Sequence[str], planes: Collection[str]) -> tuple[tuple[str, ...], ...]:
+    """Return the modalities of each tensor that a setup is fused from."""
     known: Mapping[str, tuple[str, ...]] = {str(name): names for name, names in SETUPS.items()}
-    if setup in known:
-        return known[setup]
+    text = setup if isinstance(setup, str) else "+".join(map(str, setup))
+    entries = (text,) if isinstance(setup, str) or text in known else tuple(map(str, setup))
     single = {name: names for name, names in known.items() if len(names) == 1}
-    single |= {"d": ("depth",), "normal": ("normal",)} | {name: (name,) for name in planes}
-    parts = setup.split("+")
-    names = tuple(name for part in parts for name in single.get(part, ("",)))
-    if "" in names or not set(names) & set(planes) or len(set(names)) < len(names):
-        also = f", or with {', '.join(planes)}, as in 'rgb+{next(iter(planes))}'" if planes else ""
-        raise ArrayError(f"setup: expected one of {', '.join(SETUPS)}{also}, found {setup!r}")
-    return names
+    single |= {name: (name,) for name in CHANNELS} | {"d": ("depth",)}
+    single |= {name: (name,) for name in planes}
+    groups = []
+    for entry in entries:
+        parts = [single.get(p) or single.get(modality_name(p), ("",)) for p in entry.split("+")]
+        groups.append(known.get(entry) or tuple(name for part in parts for name in part))
+    names = [name for group in groups for name in group]
+    if "" in names or not names or len(set(names)) < len(names):
+        mix = ", ".join(dict.fromkeys((*CHANNELS, *planes)))
+        raise ArrayError(
+            f"setup: expected one of {', '.join(SETUPS)}, or a mix of {mix}, each once, as in "
+            f"'rgb+{next(iter(planes), 'elevation')}', found {setup!r}"
+        )
+    return tuple((name,) for name in groups[0]) if len(groups) == 1 else tuple(groups)
 
 
 def _own_mix(modalities: Sequence[str], fusion: bool, planes: Collection[str]) -> Selection:
@@ -175,10 +192,13 @@ def _own_mix(modalities: Sequence[str], fusion: bool, planes: Collection[str]) -
         raise ArrayError(
             f"modalities: expected some of {', '.join(known)}, each once, found {names!r}"
         )
-    if fusion:
-        raise ArrayError("fusion: expected a setup to fuse, found modalities; they come apart")
     images = tuple(name for name in names if name in CHANNELS or name in planes)
-    return Selection(images, "label" in names, ())
+    if fusion and len(images) < 2:
+        raise ArrayError(
+            f"fusion: expected two modalities or more beside a label, found {names!r}; name what "
+            "to fuse it with"
+        )
+    return Selection(images, "label" in names, tuple((name,) for name in images) if fusion else ())
 
 
 def check_dtype(dtype: str, selection: Selection, transform: object) -> None:

@@ -122,7 +122,7 @@ class StoredImages:
         if name in VIEWS:
             view = VIEWS[name]
             values = torch.from_numpy(empty((1, *self.size), np.float32))
-            self.scaled(view.of, index, Scaling.none(), values)
+            self.scaled(view.of, index, scaling.cut_alone(), values)
             view.write(values, scaling.apply, out)
             return
         planes = out.numpy().reshape(out.shape[0], -1)
@@ -132,11 +132,12 @@ class StoredImages:
             return
         stored = self.stored(name, index).reshape(-1)
         scale, offset = scaling.rows(name)
+        low, high = scaling.ends(name)
         if modality.values == "numbers":
             fill, steps = modality.fill, modality.steps
-            samples.scaled_plane(stored, fill, steps, scale[0], offset[0], planes[0])
+            samples.scaled_plane(stored, fill, steps, low, high, scale[0], offset[0], planes[0])
         elif modality.values == "measures":
-            numbers = values_of(modality) * scale[0] + offset[0]
+            numbers = values_of(modality).clip(low, high) * scale[0] + offset[0]
             numbers[np.isnan(numbers)] = 0
             planes[0] = numbers.take(stored.view(f"uint{8 * stored.dtype.itemsize}"))
         elif modality.values == "levels":

@@ -105,7 +105,7 @@ def test_setups_join_planes_with_others(store: Path) -> None:
     every = StoreDataset(store, None, "rgb+d+nim-depth+thermal").selection.images
     assert every == ("rgb", "depth", "normal", "thermal")
     assert StoreDataset(store, None, "thermal").selection.images == ("thermal",)
-    for wrong in ("rgb+termal", "thermal+thermal", "rgb+rgb", "+thermal", "rgb+normal"):
+    for wrong in ("rgb+termal", "thermal+thermal", "rgb+rgb", "+thermal", "rgb+"):
         with pytest.raises(ArrayError, match=r"expected one of rgb, .*as in 'rgb\+confidence'"):
             StoreDataset(store, None, wrong)
 
@@ -238,3 +238,13 @@ def test_a_fourth_channel_that_is_thermal_is_just_its_values(tmp_path: Path) -> 
 
 def test_planes_of_the_test_are_what_the_store_has(store: Path) -> None:
     assert nimprep.open_store(store).planes == tuple(sorted(PLANES, key=lambda p: p.name))
+
+
+def test_a_plane_is_cut_to_a_range_where_one_is_given(store: Path) -> None:
+    celsius = StoreDataset(store, None, "thermal", normalize="none")[2]["inputs"]
+    low, high = (float(q) for q in torch.quantile(celsius[celsius != 0], torch.tensor([0.2, 0.8])))
+    cut = StoreDataset(store, None, "thermal", normalize="none", cut={"thermal": (low, high)})
+    want = torch.where(celsius == 0, 0, celsius.clamp(low, high))
+    torch.testing.assert_close(cut[2]["inputs"], want)
+    assert "cut to" not in repr(StoreDataset(store, None, "thermal"))
+    assert repr(cut).endswith(f"; thermal cut to {low:g} to {high:g} degC>")

@@ -68,12 +68,50 @@ def test_ones_own_mix_has_a_tensor_per_name() -> None:
         ({"setup": None, "modalities": ("rgb", "nomral")}, "modalities: expected some of rgb"),
         ({"setup": None, "modalities": ("rgb", "rgb")}, "each once"),
         ({"setup": None, "modalities": ()}, "modalities: expected some of"),
-        ({"setup": None, "modalities": ("rgb", "depth"), "fusion": True}, "expected a setup"),
+        ({"setup": None, "modalities": ("rgb", "label"), "fusion": True}, "two modalities or more"),
+        ({"setup": ("rgb", "elevatoin")}, "found .*'elevatoin'"),
+        ({"setup": ("rgb", "rgb+elevation")}, "each once"),
+        ({"setup": ("elevation",), "fusion": True}, "what to fuse it with"),
+        ({"setup": ()}, "setup: expected one of"),
     ],
 )
 def test_what_is_no_selection_is_refused(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(ArrayError, match=message):
         select(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("setup", "names"),
+    [
+        (("rgb", "elevation"), ("rgb", "elevation")),
+        (("elevation", "normal"), ("elevation", "normal")),
+        ("rgb+normal+elevation", ("rgb", "normal", "elevation")),
+        ("rgb+d+transformed-disparity", ("rgb", "depth", "transformed_disparity")),
+        (("nim-rgb+d", "t-disparity", "mask"), ("rgb", "normal", "transformed_disparity", "mask")),
+        (["depth-minmax", "hha", "disparity"], ("depth-minmax", "hha", "disparity")),
+    ],
+)
+def test_a_setup_may_be_any_mix(setup: object, names: tuple[str, ...]) -> None:
+    selection = select(setup)
+    assert selection.images == names
+    assert selection.inputs == (names,)
+    assert selection.label
+
+
+def test_a_mix_is_fused_from_its_entries() -> None:
+    pair = select(("rgb", "normal+elevation"), fusion=True)
+    assert pair.inputs == (("rgb",), ("normal", "elevation"))
+    assert pair.channels == (3, 4)
+    assert select("rgb+normal+elevation", fusion=True).channels == (3, 3, 1)
+    # A text that is a setup is that setup, however it was put together.
+    assert select(("nim-rgb", "d"), fusion=True) == select("nim-rgb+d", fusion=True)
+
+
+def test_modalities_are_fused_each_by_itself_and_labelled_where_named() -> None:
+    named = select(None, modalities=("rgb", "elevation", "label"), fusion=True)
+    assert named.inputs == (("rgb",), ("elevation",))
+    assert named.label
+    assert not select(None, modalities=("rgb", "elevation"), fusion=True).label
 
 
 def test_every_public_name_is_there() -> None:
