@@ -17,9 +17,10 @@ from nimprep.cli.options import progress_bars, quiet_option
 @click.option(
     "--format",
     "form",
-    type=click.Choice(["png", "rerun", "npz"]),
+    type=click.Choice(["png", "rerun", "npz", "rgbx"]),
     required=True,
-    help="png: GMRP's raw layout; rerun: one .rrd recording; npz: one archive per frame.",
+    help="png: GMRP's raw layout; rerun: one .rrd recording; npz: one archive per frame; rgbx: for "
+    "CMX, DFormer and Sigma.",
 )
 @click.option(
     "--frames",
@@ -31,8 +32,8 @@ from nimprep.cli.options import progress_bars, quiet_option
 @click.option(
     "--modalities",
     metavar="LIST",
-    help="Comma-separated, with png and npz: what to write. Default: rgb,depth,label of png, all "
-    "of npz.",
+    help="Comma-separated, not with rerun: what to write. Default: rgb,depth,label of png, all of "
+    "npz, what the networks read of the others.",
 )
 @click.option(
     "--overwrite", is_flag=True, help="With rerun, replace OUT where it is there already."
@@ -67,6 +68,10 @@ def export(
     npz    every modality, in float units where it has any: rgb, depth_m (metres, 0 = none),
            normal (unit vectors), hha, label ...; K, baseline_m, cam_to_road, gravity (NaN =
            none); id, split, group.
+    rgbx   RGB/ Depth/ HHA/ Label/ train.txt val.txt test.txt: for CMX, DFormer, Sigma.
+
+    \b
+    Frames without a split are left out of rgbx; what it loses is said.
 
     \b
     --frames test         the test split
@@ -78,7 +83,7 @@ def export(
             f"expected --format rerun with --overwrite, found {form}: a folder must be new or empty"
         )
     if modalities is not None and form == "rerun":
-        raise click.UsageError("expected --format png or npz with --modalities, found rerun")
+        raise click.UsageError("expected another --format with --modalities, found rerun")
     from nimprep.export import export_frames
 
     progress = progress_bars(quiet)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path, PurePosixPath
+from pkgutil import resolve_name
 from typing import Literal, get_args
 
 from nimprep.errors import ArrayError, StoreError
+from nimprep.export.layout import Layout, export_layout
 from nimprep.export.places import files_of, write_new
 from nimprep.export.selection import select_frames
 from nimprep.files import check_file, whole_file
@@ -15,8 +17,11 @@ from nimprep.modality import modality_name
 from nimprep.parallel import Progress, map_frames
 from nimprep.store.reader import Store, open_store
 
-Format = Literal["png", "rerun", "npz"]
+Format = Literal["png", "rerun", "npz", "rgbx"]
 FORMATS: tuple[str, ...] = get_args(Format)
+
+LAYOUTS = {"rgbx": "nimprep.export.rgbx:RGBX"}
+"""Where the layouts of networks are described (`nimprep.export.layout`)."""
 
 FrameWriter = Callable[[int, PurePosixPath], None]
 """Write the frame of a number under a name."""
@@ -40,17 +45,19 @@ def export_frames(
     out : path
         A new or empty folder; with "rerun", a new file. It is there whole or not at all, and
         nothing is written outside it.
-    form : {"png", "rerun", "npz"}
-        GMRP's raw layout (`nimprep.export.png`), one recording (`nimprep.export.rerun`), or one
-        archive per frame (`nimprep.export.npz`).
+    form : {"png", "rerun", "npz", "rgbx"}
+        GMRP's raw layout (`nimprep.export.png`), one recording (`nimprep.export.rerun`), one
+        archive per frame (`nimprep.export.npz`), or the folders of CMX, DFormer and Sigma
+        (`nimprep.export.rgbx`); those leave out frames without a split, which is said.
     frames : str or iterable of str, optional
         Ids, splits and ranges START:END, as `nimprep.export.selection` reads them; None = all.
     progress : callable, optional
         Called with the step and its frames; gives what is called after each.
     modalities : sequence of str, optional
-        Which to write, with "png" and "npz"; None = those of GMRP's raw layout, and all. With
-        "png", encodings.json then says how each folder's numbers are to be read
-        (`nimprep.export.encoding`).
+        Which to write, with all but "rerun"; None = those of GMRP's raw layout with "png", all
+        with "npz", what the networks read with the others, made from depth where the store lacks
+        it. With "png", encodings.json then says how each folder's numbers are to be read
+        (`nimprep.export.encoding`); with the others it always does.
     overwrite : bool
         With "rerun", replace a file that is there. A folder's files are never replaced.
 
@@ -74,11 +81,18 @@ def export_frames(
     if overwrite and form != "rerun":
         raise ArrayError(f"overwrite: expected form 'rerun' with it, found {form!r}")
     if modalities is not None and form == "rerun":
-        raise ArrayError("modalities: expected form 'png' or 'npz' with them, found 'rerun'")
-    chosen = None if modalities is None else _chosen(store, modalities)
+        raise ArrayError(
+            f"modalities: expected form {', '.join(map(repr, LAYOUTS))}, 'png' or 'npz' with them, "
+            "found 'rerun'"
+        )
     place = Path(store.path)
     check_file(out, place, overwrite=overwrite) if form == "rerun" else check_folder(out, place)
     numbers = select_frames(store, [frames] if isinstance(frames, str) else frames)
+    asked = None if modalities is None else _names(modalities)
+    if form in LAYOUTS:
+        layout: Layout = resolve_name(LAYOUTS[form])
+        return export_layout(layout, store, numbers, out, asked, progress)
+    chosen = None if asked is None else _chosen(store, asked)
     ids = [store.ids[i] for i in numbers]
     if form == "rerun":
         _export_recording(store, numbers, out, overwrite, progress)
@@ -104,13 +118,16 @@ def _export_recording(
         write_recording(store, numbers, partial, progress)
 
 
-def _chosen(store: Store, modalities: Sequence[str]) -> list[str]:
-    """Return the modalities that names mean, each once, in the store's order."""
+def _names(modalities: Sequence[str]) -> list[str]:
     if isinstance(modalities, str):
         raise ArrayError(
             f"modalities: expected a sequence of names, found {modalities!r}; put them in a list"
         )
-    names = [modality_name(name) for name in modalities]
+    return [modality_name(name) for name in modalities]
+
+
+def _chosen(store: Store, names: Sequence[str]) -> list[str]:
+    """Return the modalities that names mean, each once, in the store's order."""
     for name in names or [""]:
         if name not in store.modalities:
             raise StoreError(

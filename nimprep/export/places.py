@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path, PurePath, PurePosixPath
+from urllib.parse import quote, unquote
 
 from nimprep.errors import LayoutError
 
 _LONGEST_NAME = 255
 """Bytes in a file's name, on the file systems in use."""
+
+ENDINGS = ("png", "jpg")
+"""Readers of lists cut these off, wherever they stand."""
 
 
 def files_of(ids: Iterable[str], suffix: str) -> dict[str, PurePosixPath]:
@@ -43,6 +47,42 @@ def files_of(ids: Iterable[str], suffix: str) -> dict[str, PurePosixPath]:
                 f"{str(min(blocked))!r} of that name; leave one of the two out with --frames"
             )
     return files
+
+
+def flat_names(ids: Iterable[str], suffix: str) -> dict[str, str]:
+    """Return a name for each frame, by id, for layouts whose files lie in one folder.
+
+    An id of letters, digits, "_", "-" and "." is its own name; all else is percent-encoded, "/" as
+    %2F, and so is what readers take for a file's ending: `id_of` gives the id back.
+
+    Raises
+    ------
+    LayoutError
+        An id can be no such name.
+    """
+    names: dict[str, str] = {}
+    for frame_id in ids:
+        if frame_id in names:
+            raise LayoutError(f"frame {frame_id!r}: expected each id once, found it twice")
+        try:
+            name = quote(frame_id, safe="").replace("~", "%7E")
+        except UnicodeEncodeError:
+            name = ""
+        for ending in ENDINGS:
+            name = name.replace(f".{ending}", f"%2E{ending}")
+        name = f"%2E{name[1:]}" if name.startswith(".") else name
+        if not name or not _is_plain(name + suffix):
+            raise LayoutError(
+                f"frame {frame_id!r}: expected an id that can be a file's name, found one that "
+                "cannot; leave it out with --frames"
+            )
+        names[frame_id] = name
+    return names
+
+
+def id_of(name: str) -> str:
+    """Return the id that a flat name stands for."""
+    return unquote(name)
 
 
 def _is_plain(name: str) -> bool:

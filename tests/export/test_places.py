@@ -15,9 +15,11 @@ import nimprep
 from nimprep.cli import main
 from nimprep.errors import LayoutError
 from nimprep.export import FORMATS, export_frames
-from nimprep.export.places import files_of
+from nimprep.export.places import files_of, flat_names, id_of
 from nimprep.store.reader import Store
 from tests.fakes import write_gmrp
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*(8 bits|not in the store)")
 
 
 def run(*arguments: object) -> Result:
@@ -78,6 +80,36 @@ def test_an_id_that_could_lead_outside_is_refused_before_anything_is_written(
     # The other frames can be had.
     assert len(export_frames(other, inner / "out", "npz", "1:4")) == 3
     assert sorted(p.name for p in tmp_path.rglob("*.npz")) == [f"00000{i}.npz" for i in (1, 2, 3)]
+
+
+NAMELESS = {"", "x\ud800y", "x" * 300, "ä" * 130}
+
+
+@pytest.mark.parametrize("frame_id", [i for i in HOSTILE if i not in NAMELESS], ids=ascii)
+def test_a_flat_name_stays_in_its_folder_and_says_its_id(frame_id: str) -> None:
+    (name,) = flat_names([frame_id], ".png").values()
+    assert id_of(name) == frame_id
+    assert Path(name).name == name
+    assert name.isascii()
+    assert not name.startswith(".")
+
+
+@pytest.mark.parametrize("frame_id", sorted(NAMELESS), ids=lambda i: ascii(i[:12]))
+def test_an_id_without_a_flat_name_is_refused(frame_id: str) -> None:
+    with pytest.raises(LayoutError, match="expected an id that can be a file's name"):
+        flat_names([frame_id], ".png")
+
+
+def test_flat_names_are_as_many_as_the_ids() -> None:
+    ids = ["a/b", "a_b", "a__b", "a%2Fb", "a b", "a.b", "a.png", "a.jpg/b", "~a", "ä", "A.PNG"]
+    names = flat_names(ids, ".png")
+    assert len(set(names.values())) == len(ids)
+    assert [id_of(name) for name in names.values()] == ids
+    assert names["a/b"] == "a%2Fb"
+    assert names["a.b"] == "a.b"
+    assert not any(".png" in name or ".jpg" in name for name in names.values())
+    with pytest.raises(LayoutError, match="'a': expected each id once"):
+        flat_names(["a", "a"], ".png")
 
 
 def test_a_recording_has_no_files_that_an_id_could_name(store: Store, tmp_path: Path) -> None:
