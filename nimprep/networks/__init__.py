@@ -8,19 +8,25 @@ Eight take one image, of as many channels as the setup has; four fuse two. All a
 their papers, with the channels and layers of the public implementations.
 """
 
+from nimprep.networks.beside import extra_inputs
 from nimprep.networks.build import NETWORKS, build_network
 from nimprep.networks.checkpoint import Checkpoint, read_checkpoint, save_checkpoint
 from nimprep.networks.network import Loaded, Logits, Network
+from nimprep.networks.nim_network import NimNetwork
+from nimprep.networks.nim_options import PAPER_SETUPS
 from nimprep.networks.weights import count_parameters, load_weights, save_weights
 
 __all__ = [
     "NETWORKS",
+    "PAPER_SETUPS",
     "Checkpoint",
     "Loaded",
     "Logits",
     "Network",
+    "NimNetwork",
     "build_network",
     "count_parameters",
+    "extra_inputs",
     "load_weights",
     "read_checkpoint",
     "save_checkpoint",

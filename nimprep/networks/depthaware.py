@@ -83,6 +83,11 @@ class DepthAwareCNN(Network):
             None if inputs[1] == 1 else _Tower(inputs[1], classes, width, alpha, authors_pool)
         )
 
+    @property
+    def wants_depth(self) -> bool:
+        """Whether the second image is not the depth itself."""
+        return self.second is not None
+
     def forward(  # type: ignore[override]
         self, x: Tensor, y: Tensor, depth: Tensor | None = None
     ) -> Tensor:

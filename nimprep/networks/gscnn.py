@@ -80,6 +80,7 @@ class GSCNN(Network):
 
     divisor = 8
     auxiliary = True
+    wants_canny = True
 
     def __init__(self, inputs: int, classes: int, width: float = 1.0) -> None:
         super().__init__(inputs, classes)

@@ -69,12 +69,15 @@ class Network(nn.Module, ABC):
         Whether `forward` gives more than logits in training.
     classifier : dict of str to str
         Convolutions that torchvision has as layers of its classifier, by their names there.
+    wants_canny : bool
+        Whether `forward` takes a Canny map of the raw image after the images.
     loaded : Loaded, optional
         What came of the file of weights it was built with.
     """
 
     divisor: ClassVar[int] = 1
     auxiliary: ClassVar[bool] = False
+    wants_canny: ClassVar[bool] = False
     classifier: ClassVar[dict[str, str]] = {}
     loaded: Loaded | None = None
 
@@ -82,6 +85,11 @@ class Network(nn.Module, ABC):
         super().__init__()
         self.inputs = inputs
         self.classes = classes
+
+    @property
+    def wants_depth(self) -> bool:
+        """Whether `forward` takes depth after the images, (B, 1, H, W), that likeness is of."""
+        return False
 
     @abstractmethod
     def _outputs(self, *images: Tensor, auxiliary: bool) -> Any:
