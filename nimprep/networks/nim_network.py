@@ -39,9 +39,10 @@ class NimNetwork(nn.Module):
     network : Network
         What `build_network` makes, of the setup's channels: as one number where it takes one image,
         as a pair where it fuses.
-    setup : str
+    setup : str or tuple of str
         One of the paper's: rgb, depth, hha, rgb+d, rgb+hha, nim-depth, nim-rgb+d; the three of two
-        modalities for fusion as well.
+        modalities for fusion as well. Or another mix of rgb, depth, normal and hha, as
+        `StoreDataset` takes it.
     method : {"nim", "nim-edge"}
         How normals are estimated; see `nimprep.estimate_normals`. "nim" is differentiable and runs
         where the depth is; "nim-edge" is a kernel on the CPU, through which no gradient passes.
@@ -88,7 +89,7 @@ class NimNetwork(nn.Module):
     def __init__(
         self,
         network: Network,
-        setup: Setup,
+        setup: Setup | tuple[str, ...],
         method: Method = "nim",
         sign_filter: bool = False,
         *,
@@ -216,7 +217,9 @@ class NimNetwork(nn.Module):
             torch.tensor(row, dtype=image.dtype, device=image.device)[:, None, None]
             for row in self._rows[name]
         )
-        scaled = image * scale + offset
+        ends = self.scaling.cut.get(name)
+        cut = image if ends is None else image.clamp(*ends)
+        scaled = cut * scale + offset
         if MODALITIES[name].values == "colors":
             return scaled
         none = (image == 0).all(dim=1, keepdim=True)

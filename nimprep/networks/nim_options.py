@@ -23,18 +23,18 @@ _NAMED: dict[str, Callable[[], Scaling]] = {
 }
 
 
-def selection_of(network: Network, setup: Setup) -> Selection:
+def selection_of(network: Network, setup: Setup | tuple[str, ...]) -> Selection:
     """Return what a network's images are made of; `ArrayError` where its channels are others."""
     channels = getattr(network, "inputs", None)
     if channels is None:
         kind = type(network).__name__
         raise ArrayError(f"network: expected one that build_network made, found {kind}")
-    if setup not in PAPER_SETUPS:
-        raise ArrayError(
-            f"setup: expected one of {', '.join(PAPER_SETUPS)}, which can be made of rgb, depth "
-            f"and intrinsics, found {setup!r}"
-        )
     selection = select(setup, fusion=isinstance(channels, tuple))
+    if not set(selection.images) <= set(MADE):
+        raise ArrayError(
+            f"setup: expected one of {', '.join(PAPER_SETUPS)} or a mix of {', '.join(MADE)}, which "
+            f"can be made of rgb, depth and intrinsics, found {setup!r}"
+        )
     wanted = selection.channels if isinstance(channels, tuple) else selection.channels[0]
     if channels != wanted:
         raise ArrayError(

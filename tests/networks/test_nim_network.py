@@ -17,7 +17,7 @@ from nimprep.networks import (
     extra_inputs,
 )
 from nimprep.networks.edges import canny_edges
-from nimprep.torch import SETUPS, StoreDataset
+from nimprep.torch import SETUPS, Scaling, StoreDataset
 from nimprep.torch.setups import select
 from tests.networks.frames import CAMERA, made, served, taken
 
@@ -52,6 +52,17 @@ def test_the_normalisation_is_the_data_sets(normalize: Any, path: Path) -> None:
     given: Any = data.scaling if normalize == "train" else normalize
     found = NimNetwork(made("unet", "rgb+d"), "rgb+d", normalize=given).inputs(**taken(path))[0]
     torch.testing.assert_close(found, wanted, rtol=1e-6, atol=1e-5)
+
+
+def test_a_mix_of_its_own_and_a_cut_are_the_data_sets(path: Path) -> None:
+    setup = ("rgb", "depth+normal")
+    scaling = Scaling({"rgb": (0.01,) * 3, "depth": (0.5,)}, {}, {"depth": (2.0, 2.2)})
+    wanted = served(path, setup, True, normals="nim", normalize=scaling)
+    model = NimNetwork(made("mfnet", setup, True), setup, normalize=scaling)
+    for a, b in zip(model.inputs(**taken(path)), wanted, strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=1e-5)
+    assert wanted[1][:, 0].unique().numel() > 2
+    assert wanted[1][:, 0].max() == pytest.approx(1.1)
 
 
 def test_colour_as_floats_is_the_same_colour(path: Path) -> None:
