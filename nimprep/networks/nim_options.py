@@ -32,8 +32,8 @@ def selection_of(network: Network, setup: Setup | tuple[str, ...]) -> Selection:
     selection = select(setup, fusion=isinstance(channels, tuple))
     if not set(selection.images) <= set(MADE):
         raise ArrayError(
-            f"setup: expected one of {', '.join(PAPER_SETUPS)} or a mix of {', '.join(MADE)}, which "
-            f"can be made of rgb, depth and intrinsics, found {setup!r}"
+            f"setup: expected one of {', '.join(PAPER_SETUPS)} or a mix of {', '.join(MADE)}, "
+            f"which can be made of rgb, depth and intrinsics, found {setup!r}"
         )
     wanted = selection.channels if isinstance(channels, tuple) else selection.channels[0]
     if channels != wanted:
