@@ -59,3 +59,10 @@ class SplitError(NimprepError, ValueError):
 
 class DoubtWarning(UserWarning):
     """A data set is perhaps read wrongly: `warnings.filterwarnings` makes it an error."""
+
+
+class FindingWarning(UserWarning):
+    """What was made of a data set tells less than it seems: normals that are noise, say.
+
+    Unlike with a `DoubtWarning`, nothing need be read wrongly.
+    """

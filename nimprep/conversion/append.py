@@ -108,7 +108,7 @@ def append_frames(
         converting = options_like(old, **reading)
         reader = converting.open_reader(source)
         done = _published(old, reader, options, workspace) if workspace.published else None
-        known = [] if done else old.about.doubts
+        known = None if done else old.about
         if done is None:
             new = SubsetReader(reader, _new_ids(old, reader, options))
             done = Appended(old, (), len(reader.ids) - len(new.ids), ())
@@ -123,7 +123,7 @@ def append_frames(
     lost = [f"the store has no {', '.join(left)}: these are not appended"] if left else []
     for note in (*reader.info.notes, *lost):
         warnings.warn(f"{source}: {note}", stacklevel=2)
-    warn_of_doubts(source, [d for d in done.store.about.doubts if d not in known])
+    warn_of_doubts(source, done.store.about, known)
     return done
 
 

@@ -13,11 +13,15 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.conversion.records import FrameFacts
+from nimprep.derive.recipe import Recipe
 from nimprep.doubts.depth import camera_signs, depth_signs
+from nimprep.doubts.findings import find
 from nimprep.doubts.judge import NAMED, judge, sentence
 from nimprep.doubts.labels import LABEL_KINDS, label_doubts
-from nimprep.errors import DoubtWarning
+from nimprep.doubts.surfaces import LEAST_IMAGE, level_signs, normal_signs
+from nimprep.errors import DoubtWarning, FindingWarning
 from nimprep.frame import Frame, LabelClass
+from nimprep.modality import MODALITIES
 from nimprep.readers.crop import Margins
 from nimprep.splits import SplitName
 from nimprep.store.attributes import StoreAttributes
@@ -51,6 +55,37 @@ def frame_signs(frame: Frame, margins: Margins | None, *, road: bool = True) -> 
     if frame.depth_m is not None:
         signs |= depth_signs(frame.depth_m, camera, MAX_DEPTH_M, road=road)
     return signs | camera_signs(camera if margins is None else _whole(camera, margins))
+
+
+def derived_signs(
+    frame: Frame,
+    stored: Mapping[str, npt.NDArray[Any]],
+    made: dict[str, float],
+    recipe: Recipe,
+    *,
+    road: bool,
+) -> dict[str, float]:
+    """Return the signs of what was made of a frame's depth; none of a small image.
+
+    Parameters
+    ----------
+    frame : Frame
+        With depth as images were made of it.
+    stored : mapping of modality to array
+        As the store holds them.
+    made : dict of str to float
+        The signs that their makers give.
+    road : bool
+        Whether to measure the noise in normals, if there are any.
+    """
+    if frame.depth_m is None or frame.depth_m.size < LEAST_IMAGE:
+        return {}
+    signs = made | level_signs(stored)
+    known = (MODALITIES[name] for name in stored if name in MODALITIES)
+    if road and any(m.values == "vectors" for m in known):
+        smoothed = recipe.normals != "nim"
+        signs |= normal_signs(frame.depth_m, frame.camera, smoothed=smoothed)
+    return signs
 
 
 def _whole(camera: Camera, margins: Margins) -> Camera:
@@ -87,6 +122,11 @@ def doubts_of(
     return found + doubts_of_labels([i for i, _ in frames], pixels, classes, fixed_splits)
 
 
+def findings_of(facts: Sequence[FrameFacts]) -> Doubts:
+    """Return what is found in frames that were encoded, as a store's attributes hold it."""
+    return [f.to_json() for f in find((frame.id, frame.signs) for frame in facts)]
+
+
 def doubts_of_labels(
     ids: Sequence[str],
     class_pixels: npt.NDArray[np.integer],
@@ -107,14 +147,15 @@ def with_doubts_of_labels(
     return replace(about, doubts=[*about.doubts, *found])
 
 
-def joined_doubts(found: Iterable[StoreAttributes]) -> Doubts:
-    """Return what is doubted of stores together, without their labels, which are counted anew.
+def joined_doubts(found: Iterable[Doubts]) -> Doubts:
+    """Return what is doubted of stores together, or found in them.
 
-    Of one kind there is one doubt: it says what it says of the part with most such frames.
+    That is without doubts of labels, which are counted anew. Of one kind there is one: it says what
+    it says of the part with most such frames.
     """
     joined: dict[str, dict[str, Any]] = {}
     most: dict[str, int] = {}
-    for doubt in (d for about in found for d in about.doubts if d["kind"] not in LABEL_KINDS):
+    for doubt in (d for doubts in found for d in doubts if d["kind"] not in LABEL_KINDS):
         kind = doubt["kind"]
         before = joined.get(kind, {**doubt, "frames": [], "count": 0})
         text = doubt["text"] if doubt["count"] > most.get(kind, 0) else before["text"]
@@ -125,7 +166,22 @@ def joined_doubts(found: Iterable[StoreAttributes]) -> Doubts:
     return list(joined.values())
 
 
-def warn_of_doubts(where: object, doubts: Iterable[Mapping[str, Any]]) -> None:
-    """Say each doubt of a data set as a warning."""
-    for doubt in doubts:
-        warnings.warn(f"{where}: {sentence(doubt)}", DoubtWarning, stacklevel=3)
+def warn_of_doubts(
+    where: object, about: StoreAttributes, known: StoreAttributes | None = None
+) -> None:
+    """Say each doubt of a data set and each finding as a warning.
+
+    Parameters
+    ----------
+    about : StoreAttributes
+        What has them.
+    known : StoreAttributes, optional
+        What it was before: what stood there already is not said again.
+    """
+    kinds = (
+        (about.doubts, [] if known is None else known.doubts, DoubtWarning),
+        (about.findings, [] if known is None else known.findings, FindingWarning),
+    )
+    for found, before, category in kinds:
+        for doubt in (d for d in found if d not in before):
+            warnings.warn(f"{where}: {sentence(doubt)}", category, stacklevel=3)

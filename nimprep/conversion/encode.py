@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.conversion.doubted import frame_signs, shows_road
+from nimprep.conversion.doubted import derived_signs, frame_signs, shows_road
 from nimprep.conversion.plan import Job
 from nimprep.conversion.records import DEPTHS, FrameFacts, SkippedFrame, UnitRecord
 from nimprep.conversion.sources import changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import Recipe
+from nimprep.doubts.surfaces import depth_counts_sign
 from nimprep.errors import ArrayError, DecodeError, NimprepError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, given_for
@@ -150,7 +151,8 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
         wanted.add("rgb")
     frame = reader.read(frame_id, wanted)
     try:
-        stored, gravity = _stored_images(frame, layout, recipe)
+        road = shows_road(frame_id, len(job.states))
+        stored, gravity, signs = _stored_images(frame, layout, recipe, road=road)
         chunks = _chunks(frame, stored, layout)
     except ArrayError as error:
         raise DecodeError(f"frame {frame_id!r}: {error}") from error
@@ -167,8 +169,8 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     counts = np.zeros(DEPTHS, dtype=np.int64)
     if "depth" in stored:
         count_values(stored["depth"], counts)
-    road = shows_road(frame_id, len(job.states))
-    frame = replace(frame, signs=frame_signs(frame, job.margins, road=road))
+    signs |= frame_signs(frame, job.margins, road=road) | depth_counts_sign(counts)
+    frame = replace(frame, signs=signs)
     sums = channel_sums({n: stored[n] for n in layout.modalities}, layout.planes)
     pixels = class_pixels(stored.get("label"), [entry.id for entry in layout.classes])
     return EncodedFrame(_facts(frame, gravity, sums, pixels, chunks, digest), chunks, counts)
@@ -200,9 +202,15 @@ def _facts(
 
 
 def _stored_images(
-    frame: Frame, layout: StoreLayout, recipe: Recipe
-) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.float64]]:
-    """Return the frame's images as the store holds them, and the direction of gravity."""
+    frame: Frame, layout: StoreLayout, recipe: Recipe, *, road: bool
+) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.float64], dict[str, float]]:
+    """Return the frame's images as the store holds them, the direction of gravity, and signs.
+
+    Parameters
+    ----------
+    road : bool
+        Whether to look for the road, and how noisy its normals are.
+    """
     given = {n: frame.image(n) for n, m in MODALITIES.items() if m.derived is None}
     stored = {n: to_integers(layout.modality(n), i) for n, i in given.items() if i is not None}
     stored |= _stored_planes(frame, layout)
@@ -215,7 +223,8 @@ def _stored_images(
             frame = _with_depth(frame, stored["depth"])
     derived = derive(frame, missing, layout.modalities, recipe)
     stored |= {n: to_integers(layout.modality(n), i) for n, i in derived.images.items()}
-    return stored, derived.gravity
+    signs = derived_signs(frame, stored, derived.signs, recipe, road=road)
+    return stored, derived.gravity, signs
 
 
 def _stored_planes(frame: Frame, layout: StoreLayout) -> dict[str, npt.NDArray[Any]]:

@@ -223,8 +223,13 @@ def _attributes(merge: _Merge, percentiles: dict[str, float] | None) -> StoreAtt
         fixed = {k: [prefix + i for i in ids] for k, ids in about.fixed_splits.items()}
         skipped = [{**frame, "id": prefix + frame["id"]} for frame in about.skipped]
         left_out = [frame for frame in skipped if frame["id"] not in known]
-        doubts = [{**d, "frames": [prefix + i for i in d["frames"]]} for d in about.doubts]
-        part = replace(about, fixed_splits=fixed, skipped=left_out, doubts=doubts)
+        doubts, findings = (
+            [{**d, "frames": [prefix + i for i in d["frames"]]} for d in each]
+            for each in (about.doubts, about.findings)
+        )
+        part = replace(
+            about, fixed_splits=fixed, skipped=left_out, doubts=doubts, findings=findings
+        )
         found.append((part, len(store)))
     joined = joined_attributes(found, split=merge.split, depth_percentiles_m=percentiles)
     names = dict.fromkeys(part["dataset"] for part in joined.source["parts"])

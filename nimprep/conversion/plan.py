@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from nimprep import __version__
-from nimprep.conversion.doubted import doubts_of
+from nimprep.conversion.doubted import doubts_of, findings_of
 from nimprep.conversion.journal import Journal, option_values, units_of
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import Records, depth_percentiles, source_digest
 from nimprep.conversion.sources import FileState
 from nimprep.derive.recipe import Recipe
+from nimprep.doubts.surfaces import noise_of
 from nimprep.errors import ArrayError, LayoutError, OptionError, StoreError
 from nimprep.modality import MODALITIES, Modality, given_for
 from nimprep.plane import by_name, definition_of
@@ -346,6 +347,8 @@ def described(plan: Plan, records: Records) -> StoreAttributes:
         **about,
         skipped=[asdict(frame) for frame in records.skipped],
         doubts=doubts_of(facts, plan.job.layout.classes, fixed, filled=filled),
+        findings=findings_of(facts),
+        normal_noise=noise_of([frame.signs for frame in facts]),
         depth_percentiles_m=depth_percentiles(records.depth_counts),
         source={"digest": source_digest(facts)},
         complete=True,

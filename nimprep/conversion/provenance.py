@@ -10,6 +10,7 @@ from typing import Any
 
 from nimprep import __version__
 from nimprep.conversion.doubted import joined_doubts
+from nimprep.doubts.surfaces import joined_noise
 from nimprep.splits import SplitName
 from nimprep.store.attributes import StoreAttributes
 
@@ -17,7 +18,10 @@ _ORIGINS = ("nominal", "user", "file")
 """Where calibrations come from, the least certain first."""
 
 
-_LAST = ("fixed_splits", "frame_metadata", "skipped", "doubts", "complete", "tables", "digest")
+_LAST = (
+    *("fixed_splits", "frame_metadata", "skipped", "doubts", "findings"),
+    *("normal_noise", "complete", "tables", "digest"),
+)
 """What a store's `nimprep` object ends with where frames joined it."""
 
 
@@ -52,7 +56,9 @@ def joined_attributes(
         fixed_splits=fixed,
         frame_metadata=joined_metadata([(about.frame_metadata, n) for about, n in found]),
         skipped=list(chain.from_iterable(about.skipped for about, _ in found)),
-        doubts=joined_doubts(about for about, _ in found),
+        doubts=joined_doubts(about.doubts for about, _ in found),
+        findings=joined_doubts(about.findings for about, _ in found),
+        normal_noise=joined_noise([about.normal_noise for about, _ in found]),
         source={"digest": digest, "parts": made},
     )
     return replace(joined, **changes)

@@ -119,7 +119,7 @@ def convert(
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
     store = open_store(storage)
-    warn_of_doubts(source, store.about.doubts)
+    warn_of_doubts(source, store.about)
     return store
 
 

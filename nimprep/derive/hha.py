@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.arrays import floats
 from nimprep.camera import Camera
-from nimprep.derive.gravity import Scene, gravity_of_scene, normals_of_scene, scene_from_depth
+from nimprep.derive.gravity import (
+    Scene,
+    checked_gravity,
+    gravity_of_scene,
+    normals_of_scene,
+    scene_from_depth,
+)
 from nimprep.derive.methods import GROUNDS, Ground
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.errors import ArrayError
@@ -112,10 +117,8 @@ def encode_hha(
     Gupta et al., Learning rich features from RGB-D images for object detection and segmentation,
     ECCV 2014.
     """
-    known = None if gravity is None else _checked_gravity(gravity)
-    return _hha_and_gravity(scene_from_depth(depth_m, camera, missing, num_threads), known, ground)[
-        0
-    ]
+    known = None if gravity is None else checked_gravity(gravity)
+    return _encoded(scene_from_depth(depth_m, camera, missing, num_threads), known, ground).hha
 
 
 def encode_hha_and_gravity(
@@ -126,24 +129,30 @@ def encode_hha_and_gravity(
     ground: Ground = "lowest",
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
     """Return what `encode_hha` and `estimate_gravity` do, in less time than one after the other."""
-    scene = scene_from_depth(depth_m, camera, missing, num_threads)
-    return _hha_and_gravity(scene, None, ground)
+    made = _encoded(scene_from_depth(depth_m, camera, missing, num_threads), None, ground)
+    return made.hha, made.gravity
 
 
-def _hha_and_gravity(
-    scene: Scene, known: npt.NDArray[np.float64] | None, ground: Ground
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
+class _Encoded(NamedTuple):
+    """HHA, the direction of gravity it is made with, and whether heights count from a floor."""
+
+    hha: npt.NDArray[np.uint8]
+    gravity: npt.NDArray[np.float64]
+    from_floor: bool
+
+
+def _encoded(scene: Scene, known: npt.NDArray[np.float64] | None, ground: Ground) -> _Encoded:
     if ground not in GROUNDS:
         raise ArrayError(f"ground: expected one of {', '.join(GROUNDS)}, found {ground!r}")
     normals = normals_of_scene(scene) if known is None or ground == "floor" else None
     gravity = gravity_of_scene(scene, normals) if known is None else known
-    toward = _checked_gravity(gravity)
+    toward = checked_gravity(gravity)
     down = _down(toward)
     zero = None
     if normals is not None and ground == "floor":
         zero = _floor_cm(scene, normals, toward, down)
-    zero = _lowest_cm(scene, down) if zero is None else zero
-    return _encode_scene(scene, toward, down, zero), gravity
+    height = _lowest_cm(scene, down) if zero is None else zero
+    return _Encoded(_encode_scene(scene, toward, down, height), gravity, zero is not None)
 
 
 def _down(gravity: npt.NDArray[np.float64]) -> Vector:
@@ -210,28 +219,16 @@ def _encode_scene(
     return out
 
 
-def _checked_gravity(gravity: Any) -> npt.NDArray[np.float64]:
-    vector = floats(gravity)
-    if vector.shape != (3,):
-        raise ArrayError(f"gravity: expected 3 numbers, found shape {vector.shape}")
-    largest = float(np.abs(vector).max())
-    if not 0 < largest < np.inf:
-        raise ArrayError(f"gravity: expected a direction, found {vector.tolist()}")
-    # Of the largest and the smallest numbers there are, the squares are infinite or 0.
-    vector = vector if 1e-100 < largest < 1e100 else vector / largest
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
 def make_hha(given: Given) -> Made:
     """Encode a frame's HHA, with the direction of gravity that its calibration says or shows."""
-    frame, transform = given.frame, given.frame.cam_to_road
-    ground = given.recipe.hha_ground
-    if transform is None:
-        return Made(*encode_hha_and_gravity(given.depth_m, frame.camera, given.missing, 1, ground))
-    # The road frame's y axis points down, as the camera's does.
-    gravity = transform[:, :3].T @ (0.0, 1.0, 0.0)
-    hha = encode_hha(given.depth_m, frame.camera, given.missing, gravity, 1, ground)
-    return Made(hha, gravity)
+    frame, ground = given.frame, given.recipe.hha_ground
+    known = None
+    if frame.cam_to_road is not None:
+        # The road frame's y axis points down, as the camera's does.
+        known = frame.cam_to_road[:, :3].T @ (0.0, 1.0, 0.0)
+    made = _encoded(scene_from_depth(given.depth_m, frame.camera, given.missing, 1), known, ground)
+    signs = {} if ground == "lowest" else {"no_floor": float(not made.from_floor)}
+    return Made(made.hha, made.gravity, signs)
 
 
 _HEIGHTS: dict[Ground, str] = {

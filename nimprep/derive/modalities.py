@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pkgutil import resolve_name
 from typing import Any
 
@@ -29,10 +29,13 @@ class Derived:
         As a `Frame` has them.
     gravity : (3,) float64
         Direction in the camera frame that HHA was made with; NaN without HHA.
+    signs : dict of str to float
+        What is to be said of the making: see `nimprep.derive.recipe.Made`.
     """
 
     images: dict[str, npt.NDArray[Any]]
     gravity: npt.NDArray[np.float64]
+    signs: dict[str, float] = field(default_factory=dict)
 
 
 def fill_frame(frame: Frame, recipe: Recipe) -> tuple[Frame, npt.NDArray[np.bool_] | None]:
@@ -66,7 +69,7 @@ def derive(
         Those to make; names that are not derived are passed over.
     """
     images: dict[str, npt.NDArray[Any]] = {}
-    gravity = np.full(3, np.nan)
+    gravity, signs = np.full(3, np.nan), dict[str, float]()
     if frame.depth_m is None:
         return Derived(images, gravity)
     given = Given(frame, frame.depth_m, missing, recipe)
@@ -80,4 +83,5 @@ def derive(
         image = made.image
         images[modality.name] = modality.blank(frame.camera.shape) if image is None else image
         gravity = gravity if made.gravity is None else made.gravity
-    return Derived(images, gravity)
+        signs |= made.signs or {}
+    return Derived(images, gravity, signs)

@@ -138,7 +138,10 @@ class Made(NamedTuple):
         As a `Frame` has it; None = this frame has none anywhere, as one without a road.
     gravity : (3,) float64, optional
         Direction in the camera frame that it was made with.
+    signs : mapping of str to float, optional
+        What is to be said of the frame's making: see `nimprep.doubts.judge`.
     """
 
     image: npt.NDArray[Any] | None
     gravity: npt.NDArray[np.float64] | None = None
+    signs: Mapping[str, float] | None = None

@@ -17,9 +17,6 @@ _SAMPLED = 10_000
 _PLANE_PIXELS = 2048
 _LEAST_PIXELS = 100
 
-_UPRIGHT = 0.7
-"""The least that a road's normal points up in the image: what is steeper to the view is a wall."""
-
 
 def depth_signs(
     depth_m: npt.NDArray[np.float32], camera: Camera, most_m: float, *, road: bool = True
@@ -113,24 +110,10 @@ def _row_correlation(depth_m: npt.NDArray[np.float32]) -> float | None:
 
 
 def _camera_height(depth_m: npt.NDArray[np.float32], camera: Camera) -> float | None:
-    """Fit the road's plane to a coarser image: some thousand pixels tell its height to 1 %."""
     if min(camera.fx, camera.fy) < LEAST_FOCAL_PX:
         return None
-    step = max(1, math.isqrt(depth_m.size // _PLANE_PIXELS))
-    first = step // 2
-    part = np.ascontiguousarray(depth_m[first::step, first::step])
-    coarse = Camera(
-        camera.fx / step,
-        camera.fy / step,
-        (camera.cx - first) / step,
-        (camera.cy - first) / step,
-        part.shape[1],
-        part.shape[0],
-    )
-    if np.count_nonzero(part) < _LEAST_PIXELS:
-        return None
     # Here, as its kernels take their time to load.
-    from nimprep.derive.elevation import find_road_plane
+    from nimprep.derive.coarse_road import coarse_road_plane
 
-    plane = find_road_plane(part, coarse)
-    return float(plane[3]) if plane is not None and plane[1] < -_UPRIGHT else None
+    plane = coarse_road_plane(depth_m, camera)
+    return None if plane is None else float(plane[3])

@@ -125,7 +125,7 @@ PRINCIPAL_POINT = (0.0, 1.0)
 VIEW_DEG = (10.0, 150.0)
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """Return a share in percent that is 0 or 100 only where it is."""
     if share in (0, 1):
         return "all" if share else "none"
@@ -160,7 +160,7 @@ RULES: tuple[Rule, ...] = (
         "multiples_of_8",
         lambda x: x >= MULTIPLES_OF_8,
         lambda x: (
-            f"{_percent(x)} of the raw depth values are multiples of 8, as where their bits are "
+            f"{percent(x)} of the raw depth values are multiples of 8, as where their bits are "
             f'rotated by 3 (SUN RGB-D); if so, give "rotate_right": 3 {_DESCRIBE}'
         ),
     ),
@@ -179,7 +179,7 @@ RULES: tuple[Rule, ...] = (
         "at_most_raw",
         lambda x: x >= SATURATED,
         lambda x: (
-            f"{_percent(x)} of the raw depth values are the largest their type holds, and taken "
+            f"{percent(x)} of the raw depth values are the largest their type holds, and taken "
             f'for depth; if it means none, name it as "invalid" {_DESCRIBE}'
         ),
         share=0,
@@ -209,7 +209,7 @@ RULES: tuple[Rule, ...] = (
         "with_neighbours",
         lambda x: x < WITH_NEIGHBOURS,
         lambda x: (
-            f"{_percent(x)} of the pixels with depth have it beside them on each axis, few as of "
+            f"{percent(x)} of the pixels with depth have it beside them on each axis, few as of "
             "LiDAR: normals, HHA and the like need neighbours; convert with --fill linear"
         ),
         share=0,
@@ -274,19 +274,23 @@ def judge(frames: Iterable[tuple[str, Signs]], *, filled: bool, most_m: float) -
         The farthest depth that is kept, metres.
     """
     known = list(frames)
-    found: dict[str, Doubt] = {}
-    for rule in RULES:
-        if filled and rule.kind == "sparse":
-            continue
-        asked = [(i, signs[rule.sign]) for i, signs in known if rule.sign in signs]
-        doubtful = [(i, value) for i, value in asked if rule.doubtful(value)]
-        if doubtful and len(doubtful) >= rule.share * len(asked):
-            text = rule.text(statistics.median(value for _, value in doubtful))
-            found.setdefault(rule.kind, Doubt.of(rule.kind, text, [i for i, _ in doubtful]))
+    found = judged(known, [r for r in RULES if not (filled and r.kind == "sparse")])
     # Of a camera in shares of the image's size both are true; of a tiny image's only the first.
     both = {"field-of-view", "normalised-camera"} <= found.keys()
     found.pop("field-of-view" if both else "normalised-camera", None)
     return [*found.values(), *_beyond_range(known, most_m)]
+
+
+def judged(frames: Sequence[tuple[str, Signs]], rules: Iterable[Rule]) -> dict[str, Doubt]:
+    """Return what rules say of frames, by kind."""
+    found: dict[str, Doubt] = {}
+    for rule in rules:
+        asked = [(i, signs[rule.sign]) for i, signs in frames if rule.sign in signs]
+        doubtful = [(i, value) for i, value in asked if rule.doubtful(value)]
+        if doubtful and len(doubtful) >= rule.share * len(asked):
+            text = rule.text(statistics.median(value for _, value in doubtful))
+            found.setdefault(rule.kind, Doubt.of(rule.kind, text, [i for i, _ in doubtful]))
+    return found
 
 
 def _beyond_range(frames: Sequence[tuple[str, Signs]], most_m: float) -> list[Doubt]:

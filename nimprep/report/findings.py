@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.doubts.findings import TITLES as FOUND
 from nimprep.doubts.judge import TITLES
 from nimprep.report.collect import Collected
 from nimprep.report.hashes import BITS, NEAR, nearest
@@ -74,7 +75,7 @@ def find(store: Store, facts: Collected) -> list[Finding]:
 
 def checks(store: Store) -> list[str]:
     """Return what `find` looks for in this store, in words."""
-    named = ["signs of a wrong reading", "frames left out"]
+    named = ["signs of a wrong reading, of noise and of saturation", "frames left out"]
     named += [] if _of_categories(store) else ["train and test frames of one scene"]
     if "rgb" in store.modalities:
         named += ["near-duplicates across splits", "flat colour images"]
@@ -99,13 +100,16 @@ def counted(number: int, what: str = "frame") -> str:
 
 
 def _doubted(store: Store) -> Iterator[Finding]:
-    """Yield what was doubted when the frames were converted."""
-    for doubt in store.about.doubts:
-        kind, named = doubt["kind"], frozenset(doubt["frames"])
+    """Yield what was doubted when the frames were converted, and what was found in them."""
+    about = store.about
+    said = [(d, f"doubt-{d['kind']}", "Perhaps read wrongly") for d in about.doubts]
+    said += [(d, f"found-{d['kind']}", "Less than it seems") for d in about.findings]
+    for doubt, kind, title in said:
+        named = frozenset(doubt["frames"])
         yield Finding(
-            f"doubt-{kind}",
+            kind,
             "problem",
-            TITLES.get(kind, "Perhaps read wrongly"),
+            (TITLES | FOUND).get(doubt["kind"], title),
             f"{counted(doubt['count'])}: {doubt['text']}.",
             tuple(n for n, i in enumerate(store.ids) if i in named),
         )

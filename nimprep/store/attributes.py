@@ -52,6 +52,8 @@ class StoreAttributes:
     frame_metadata: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
     skipped: list[dict[str, str]] = field(default_factory=list)
     doubts: list[dict[str, Any]] = field(default_factory=list)
+    findings: list[dict[str, Any]] = field(default_factory=list)
+    normal_noise: dict[str, float] | None = None
     depth_percentiles_m: dict[str, float] | None
     source: Source
     complete: bool

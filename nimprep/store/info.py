@@ -51,6 +51,8 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         "depth_sources": _depth_sources(about),
         "skipped": about.skipped,
         "doubts": about.doubts,
+        "findings": about.findings,
+        "normal_noise": about.normal_noise,
         "source": about.source,
     }
 
@@ -126,6 +128,8 @@ def info_text(info: dict[str, Any]) -> str:
         ("depth", _depth_text(info)),
         ("camera", _camera_text(info)),
     ]
+    if info["normal_noise"]:
+        rows.append(("noise", _noise_text(info["normal_noise"])))
     if info["depth_sources"]:
         sources = ", ".join(f"{name} {count}" for name, count in info["depth_sources"].items())
         rows.insert(4, ("from", sources))
@@ -141,6 +145,7 @@ def info_text(info: dict[str, Any]) -> str:
     if info["skipped"]:
         rows.append(("skipped", f"{len(info['skipped'])} bad frames of the source"))
     rows += [("doubt", sentence(doubt)) for doubt in info["doubts"]]
+    rows += [("finding", sentence(finding)) for finding in info["findings"]]
     lines = [f"{name:<9}{printable(text)}" for name, text in rows]
     lines.append("")
     wide = max(10, *(len(name) + 1 for name in info["modalities"]))
@@ -161,6 +166,14 @@ def _depth_text(info: dict[str, Any]) -> str:
     return (
         f"5 % below {depth['5']:.3f} m, median {depth['50']:.3f} m, 95 % below {depth['95']:.3f} m"
     )
+
+
+def _noise_text(noise: dict[str, float]) -> str:
+    text = f"{100 * noise['relative']:.3g} % of the distance" if noise["relative"] else "none found"
+    text += f", turns normals by nim by {noise['expected_deg']:.1f} deg"
+    if "roughness_deg" in noise:
+        text += f", the road's by {noise['roughness_deg']:.1f} deg"
+    return text
 
 
 def _camera_text(info: dict[str, Any]) -> str:
