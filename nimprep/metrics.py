@@ -1,12 +1,14 @@
 """Scores of a segmentation, from pure arrays.
 
-Two families: a confusion matrix of class ids (IoU, F-score, precision and recall per class), and
-counts of confidences against a binary truth (precision-recall curve, MaxF, average precision).
+Three families: a confusion matrix of class ids (IoU, F-score, precision and recall per class),
+counts of confidences against a binary truth (precision-recall curve, MaxF, average precision), and
+how well one number tells two classes apart, whatever the threshold (area under the ROC curve).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +22,8 @@ Scores = npt.NDArray[np.float64]
 
 LEVELS = 256
 """Confidences are counted at 0/255, 1/255 ... 255/255, which are also the thresholds tried."""
+
+_SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 
 _RECALLS = np.arange(11) * 0.1
 """0, 0.1 ... 1 as floating point gives them (0.3 is 0.30000000000000004): the official scores
@@ -246,3 +250,47 @@ def precision_recall_curve(counts: Counts) -> PrecisionRecallCurve:
         positives=positives,
         negatives=negatives,
     )
+
+
+def roc_auc(scores: npt.NDArray[np.floating], positive: npt.NDArray[np.bool_]) -> float:
+    """Return the area under the ROC curve: how well a number tells positives from negatives.
+
+    The probability that a positive drawn at random has the higher score of the two, a tie counting
+    one half: 1 = every positive is above every negative, 0.5 = the scores tell nothing, 0 = all are
+    below. Where it does not matter which side is the higher, take the greater of it and 1 minus it.
+
+    Parameters
+    ----------
+    scores : (N,) array of numbers
+        Leave out what has none.
+    positive : (N,) bool
+        The truth.
+
+    Raises
+    ------
+    ArrayError
+        The shapes differ, a score is NaN or masked, or one of the two sides is empty.
+
+    References
+    ----------
+    Fawcett, "An introduction to ROC analysis", Pattern Recognition Letters 27, 2006, section 7: the
+    area is the Wilcoxon rank statistic of the two sides.
+    """
+    values, truth = without_mask(scores, "scores"), without_mask(positive, "positive").astype(bool)
+    if values.ndim != 1 or values.shape != truth.shape:
+        raise ArrayError(
+            f"scores: expected (N,) numbers and as many truths, found shapes {values.shape} and "
+            f"{truth.shape}; flatten both"
+        )
+    if values.dtype.kind == "f" and np.isnan(values).any():
+        raise ArrayError(
+            f"scores: expected numbers, found {int(np.isnan(values).sum())} of NaN; leave them out"
+        )
+    below, above = np.sort(values[~truth]), values[truth]
+    if not below.size or not above.size:
+        raise ArrayError(
+            f"positive: expected positives and negatives, found {above.size} and {below.size}; "
+            "the area is undefined"
+        )
+    lower, not_higher = (np.searchsorted(below, above, side) for side in _SIDES)
+    return float((lower.mean() + not_higher.mean()) / (2 * below.size))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,6 +20,7 @@ from nimprep.metrics import (
     precision_per_class,
     precision_recall_curve,
     recall_per_class,
+    roc_auc,
 )
 from tests.naive.scores import confusion as naive_confusion
 from tests.naive.scores import road_scores
@@ -155,3 +158,36 @@ def test_confidences_are_bytes_of_the_truths_shape() -> None:
         count_confidences(np.zeros((2, 2)), np.zeros((2, 2), bool))  # type: ignore[arg-type]
     with pytest.raises(ArrayError, match="positive: expected the confidence's shape"):
         count_confidences(np.zeros((2, 2), np.uint8), np.zeros((2, 3), bool))
+
+
+@pytest.mark.parametrize(
+    ("scores", "positive", "area"),
+    [
+        ([1, 2, 3, 4], [0, 0, 1, 1], 1),
+        ([4, 3, 2, 1], [0, 0, 1, 1], 0),
+        ([5, 5, 5], [0, 1, 0], 0.5),
+        ([1, 2, 2, 3], [0, 1, 0, 1], 0.875),  # 3 of 4 pairs in order, one tied
+        ([-np.inf, 0, np.inf], [0, 0, 1], 1),
+    ],
+)
+def test_the_roc_area_counts_pairs_in_order_and_ties_by_half(
+    scores: list[float], positive: list[int], area: float
+) -> None:
+    assert roc_auc(np.array(scores, float), np.array(positive, bool)) == area
+
+
+def test_the_roc_area_of_normal_scores_is_the_normal_distributions() -> None:
+    # Two normal distributions a deviation apart: P(X > Y) = Phi(1 / sqrt 2).
+    quantiles = np.array([NormalDist().inv_cdf((i + 0.5) / 4000) for i in range(4000)])
+    scores = np.concatenate([quantiles, quantiles + 1])
+    area = roc_auc(scores, np.arange(8000) >= 4000)
+    assert area == pytest.approx(NormalDist().cdf(1 / np.sqrt(2)), abs=1e-4)
+
+
+def test_what_has_no_roc_area_is_refused() -> None:
+    with pytest.raises(ArrayError, match="positives and negatives, found 2 and 0"):
+        roc_auc(np.array([1.0, 2.0]), np.array([True, True]))
+    with pytest.raises(ArrayError, match="found 1 of NaN; leave them out"):
+        roc_auc(np.array([1.0, np.nan]), np.array([True, False]))
+    with pytest.raises(ArrayError, match="as many truths"):
+        roc_auc(np.zeros((2, 2)), np.zeros((2, 2), bool))

@@ -18,6 +18,8 @@ from nimprep.report.figures import Chart
 from nimprep.report.findings import Finding, find
 from nimprep.report.gallery import Gallery, order_of_interest, paint_gallery
 from nimprep.report.page import check_libraries, render_page
+from nimprep.report.separation import Separation, measure_separation
+from nimprep.report.separation_table import separation_table
 from nimprep.store.reader import Store, open_store
 
 MEGABYTES = 20.0
@@ -37,6 +39,8 @@ class Report:
     frames, shown : int
         Of the store, and of those whose pictures are on the page.
     findings : tuple of Finding
+    separation : Separation
+        What tells the road from other classes.
     """
 
     path: Path
@@ -44,6 +48,7 @@ class Report:
     frames: int
     shown: int
     findings: tuple[Finding, ...]
+    separation: Separation
 
 
 @dataclass(frozen=True)
@@ -55,13 +60,23 @@ class Examined:
     findings: tuple[Finding, ...]
     charts: dict[str, Chart]
     artist: Artist
+    separation: Separation
 
 
-def examine(store: Store | Path | str, progress: Progress | None = None) -> Examined:
+def examine(
+    store: Store | Path | str, progress: Progress | None = None, road: str | None = None
+) -> Examined:
     """Collect what a store's page shows.
+
+    Parameters
+    ----------
+    road : str, optional
+        The class that is told from the others; see `measure_separation`.
 
     Raises
     ------
+    ArrayError
+        The store has no class of this name.
     NimprepError
         The extra `report` is not installed.
     StoreError
@@ -70,8 +85,10 @@ def examine(store: Store | Path | str, progress: Progress | None = None) -> Exam
     check_libraries()
     store = store if isinstance(store, Store) else open_store(store)
     facts = collect(store, progress)
+    separation = measure_separation(store, facts.classes, road, progress)
     findings = tuple(find(store, facts))
-    return Examined(store, facts, findings, make_charts(store, facts), Artist(store, facts))
+    charts, artist = make_charts(store, facts), Artist(store, facts)
+    return Examined(store, facts, findings, charts, artist, separation)
 
 
 def page_of(seen: Examined, gallery: Gallery | None) -> str:
@@ -83,6 +100,7 @@ def page_of(seen: Examined, gallery: Gallery | None) -> str:
     shown: Sequence[int] | None = None if gallery is None else tuple(gallery.frames)
     context = {
         **describe(seen.store, seen.facts, seen.findings, seen.charts),
+        "separation": separation_table(seen.separation),
         "gallery": gallery_data(seen.store, seen.facts, seen.findings, seen.artist, shown),
         "legends": legends(seen.store, seen.artist),
         "pictures": {} if gallery is None else gallery.frames,
@@ -111,6 +129,7 @@ def write_report(
     overwrite: bool = False,
     megabytes: float = MEGABYTES,
     progress: Progress | None = None,
+    road: str | None = None,
 ) -> Report:
     """Write a store's page as one file of HTML that needs no network.
 
@@ -125,9 +144,13 @@ def write_report(
         The file stays below this; fewer frames are shown, and smaller, where all are too many.
     progress : callable, optional
         Called with the step and its frames; gives what is called after each.
+    road : str, optional
+        As `examine` takes it.
 
     Raises
     ------
+    ArrayError
+        The store has no class of the name `road`.
     NimprepError
         The extra `report` is not installed.
     StoreError
@@ -138,7 +161,7 @@ def write_report(
     out = Path(out)
     place = Path(store.path if isinstance(store, Store) else store)
     check_file(out, place, overwrite=overwrite)
-    seen = examine(store, progress)
+    seen = examine(store, progress, road)
     bare = page_of(seen, Gallery(0, {}))
     room = int(megabytes * 1e6) - len(bare.encode()) - _RESERVE
     if room < 0:
@@ -151,4 +174,6 @@ def write_report(
     html = page_of(seen, gallery)
     data = html.encode()
     write_whole(out, data, place, overwrite=overwrite)
-    return Report(out, len(data), len(seen.store), len(gallery.frames), seen.findings)
+    return Report(
+        out, len(data), len(seen.store), len(gallery.frames), seen.findings, seen.separation
+    )

@@ -312,6 +312,14 @@ TAKERS = (
         lambda camera, counts: metrics.precision_recall_curve(counts),
         {"counts": Argument(rng.integers(0, 99, (2, 256)), REFUSED, ("<i8", ">i8", "<i4"))},
     ),
+    Taker(
+        "nimprep.metrics.roc_auc",
+        lambda camera, scores, positive: metrics.roc_auc(scores.reshape(-1), positive.reshape(-1)),
+        {
+            "scores": Argument(FULL, REFUSED, ("<f4", ">f4", "<f8", ">f8")),
+            "positive": Argument(MISSING, REFUSED),
+        },
+    ),
     *(_metric(f"{name}_per_class") for name in ("precision", "recall", "f_score", "iou")),
     _metric("pixel_accuracy"),
 )

@@ -9,7 +9,7 @@ from sklearn import metrics as reference
 import nimprep
 from nimprep.evaluation import Evaluation, evaluate_predictions
 from nimprep.frame import IGNORE_LABEL, LabelClass
-from nimprep.metrics import confusion_matrix
+from nimprep.metrics import confusion_matrix, roc_auc
 from tests.fakes import SIZE, write_gmrp, write_png
 
 REFERENCE = {
@@ -83,3 +83,14 @@ def test_frames_together_and_each_alone_score_as_scikit_learn_scores_them(scored
         check(part, labels[frame_id], guesses[frame_id])
     worst = [part.mean["iou"] for part in found.by_frame.values()]
     assert worst == sorted(worst)
+
+
+@pytest.mark.parametrize("levels", [2, 7, 10**6])
+@pytest.mark.parametrize("share", [0.003, 0.5])
+def test_the_roc_area_is_the_same_with_ties_and_rare_positives(levels: int, share: float) -> None:
+    rng = np.random.default_rng(levels)
+    positive = rng.random(3000) < share
+    scores = np.round(rng.normal(positive * 0.7, 1) * levels)
+    assert positive.any()
+    found = roc_auc(scores, positive)
+    assert found == pytest.approx(reference.roc_auc_score(positive, scores), abs=1e-12)
