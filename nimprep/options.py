@@ -40,6 +40,8 @@ class Option:
     metavar: str | None = None
     # Whether it tells in the bytes of a store.
     counts: bool = True
+    # What the command line calls it, where that is not its name.
+    flag: str | None = None
 
     @property
     def choices(self) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from nimprep.kitti.names import TARGETS
 from nimprep.modality import MODALITIES
 from nimprep.options import options_of
 from nimprep.readers import READERS, ReaderOptions, open_reader
+from nimprep.readers.datasets import DATASETS
 from nimprep.splits import SPLIT_RULES
 from nimprep.store.spec import PRESETS, chunk_codec
 from tests.fakes import write_gmrp
@@ -41,14 +42,23 @@ OTHER: dict[str, Any] = {
     "target": "lane",
     "depth_from": "lidar",
     "sparse": True,
+    "label_set": "road",
+    "variations": ("clone",),
+    "camera_index": 1,
+    "lists": "lists",
 }
 """A value for each option of readers that is not its default."""
 
+OF_FOLDERS = {"camera", "distortion", "size", "depth_scale", "label_map"}
+
 TAKES = {
-    "gmrp": {"camera", "distortion", "size", "depth_scale", "label_map"},
+    "gmrp": OF_FOLDERS,
     "kitti-road": {"target", "depth_from", "sparse"},
-    "folder": {"description", "camera", "distortion", "size", "depth_scale", "label_map"},
+    "folder": OF_FOLDERS | {"description"},
+    **{name: OF_FOLDERS | {*dataset.options} for name, dataset in DATASETS.items()},
 }
+
+FLAGS = {"label_set": "--labels"}
 
 
 def test_choices_are_those_of_the_one_table_of_each() -> None:
@@ -140,7 +150,12 @@ def arguments(name: str) -> list[str]:
         return ["--sparse"]
     if name == "camera":
         return ["--intrinsics", "30,30,16,12"]
-    return [f"--{name.replace('_', '-')}", str(OTHER[name])]
+    value = OTHER[name]
+    return [flag_of(name), ",".join(value) if isinstance(value, tuple) else str(value)]
+
+
+def flag_of(name: str) -> str:
+    return FLAGS.get(name, f"--{name.replace('_', '-')}")
 
 
 @pytest.mark.parametrize("command", MADE)
@@ -154,10 +169,11 @@ def test_an_option_that_the_reader_has_not_is_a_wrong_call(
     call = [command, str(gmrp), str(store), "--reader", "gmrp", *arguments(name)]
     result = CliRunner().invoke(main, call)
     assert result.exit_code == 2
-    flag = f"--{name.replace('_', '-')}"
+    flag = flag_of(name)
+    found = str(OTHER[name])
     assert result.stderr == (
         f"error: {flag}: expected options of the reader gmrp (--camera or --intrinsics, "
-        f"--distortion, --size, --depth-scale, --label-map), found '{OTHER[name]}'; "
+        f"--distortion, --size, --depth-scale, --label-map), found {found!r}; "
         f"leave out {flag}\n"
     )
     assert store.exists() == (command == "append")

@@ -140,7 +140,8 @@ def _option(said: Option) -> Callable[[Command], Command]:
     }
     kind = click.Choice(said.choices) if said.choices else None
     return click.option(
-        f"--{name}",
+        f"--{said.flag or name}",
+        said.name,
         type=kind or next((kinds[t] for t in kinds if t in said.types), None),
         callback=_PARSED.get(said.name),
         default=said.default,
@@ -165,7 +166,9 @@ def options_given(made: Callable[..., Made], given: dict[str, Any]) -> Made:
         return made(**{**given, "camera": given["camera"] or intrinsics})
     except ArrayError as error:
         name, _, rest = str(error).partition(": ")
-        raise click.UsageError(f"--{name.replace('_', '-')}: {rest}") from error
+        said = options_of(made).get(name)
+        flag = (said and said.flag) or name.replace("_", "-")
+        raise click.UsageError(f"--{flag}: {rest}") from error
 
 
 def progress_bars(quiet: bool) -> Progress:

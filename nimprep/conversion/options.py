@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, TypedDict
@@ -100,6 +100,10 @@ class ConvertOptions(RunOptions, RecipeOptions, ReaderOptions):
             official=self.split_by is None and self.split_file is None,
         )
 
+    def resolved(self, reader: Reader) -> ConvertOptions:
+        """Return the options with what the dataset says where the user did not."""
+        return replace(self, hha_ground=self.hha_ground or reader.info.hha_ground or "floor")
+
     @property
     def needs_depth(self) -> bool:
         """Whether depth, or what is made from it, is to be stored, or tells what to cut off."""
@@ -153,7 +157,7 @@ class ConvertKeywords(RunKeywords, ReaderKeywords, total=False):
     normals: Method
     sign_filter: bool
     noise: float | None
-    hha_ground: Ground
+    hha_ground: Ground | None
     fill: Fill
     store_filled: bool
     crop: Literal["auto"] | tuple[int, int, int, int] | None

@@ -327,6 +327,7 @@ def describe(plan: Plan, ids: Sequence[str]) -> dict[str, Any]:
         "format_version": FORMAT_VERSION,
         "tool_version": __version__,
         "dataset": reader.info.name,
+        **({"references": [reader.info.reference.to_json()]} if reader.info.reference else {}),
         "classes": [{"id": c.id, "name": c.name, "color": list(c.color)} for c in layout.classes],
         "modalities": describe_modalities(map(layout.modality, layout.modalities), options.recipe),
         "calibration": {"origin": reader.info.calibration},

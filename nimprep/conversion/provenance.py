@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any
@@ -19,7 +19,7 @@ _ORIGINS = ("nominal", "user", "file")
 
 
 _LAST = (
-    *("fixed_splits", "frame_metadata", "skipped", "doubts", "findings"),
+    *("references", "fixed_splits", "frame_metadata", "skipped", "doubts", "findings"),
     *("normal_noise", "complete", "tables", "digest"),
 )
 """What a store's `nimprep` object ends with where frames joined it."""
@@ -53,6 +53,7 @@ def joined_attributes(
         document={k: v for k, v in first.document.items() if k not in _LAST},
         tool_version=__version__,
         calibration={**first.calibration, "origin": origin},
+        references=_joined_references(about for about, _ in found),
         fixed_splits=fixed,
         frame_metadata=joined_metadata([(about.frame_metadata, n) for about, n in found]),
         skipped=list(chain.from_iterable(about.skipped for about, _ in found)),
@@ -62,6 +63,14 @@ def joined_attributes(
         source={"digest": digest, "parts": made},
     )
     return replace(joined, **changes)
+
+
+def _joined_references(found: Iterable[StoreAttributes]) -> list[dict[str, str]]:
+    """Return whose datasets the stores' frames are of, each once."""
+    references: list[dict[str, str]] = []
+    for about in found:
+        references += [each for each in about.references if each not in references]
+    return references
 
 
 def _parts(about: StoreAttributes, frames: int) -> list[dict[str, Any]]:

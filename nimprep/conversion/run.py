@@ -104,6 +104,7 @@ def convert(
 
         check_scheduler(options.scheduler)
     reader = options.open_reader(source)
+    options = options.resolved(reader)
     # Before anything is written: what is wrong with these must not cost a conversion.
     plan_modalities(reader, options)
     plan_splits(reader, options, reader.ids)

@@ -221,7 +221,7 @@ def _encode_scene(
 
 def make_hha(given: Given) -> Made:
     """Encode a frame's HHA, with the direction of gravity that its calibration says or shows."""
-    frame, ground = given.frame, given.recipe.hha_ground
+    frame, ground = given.frame, given.recipe.ground
     known = None
     if frame.cam_to_road is not None:
         # The road frame's y axis points down, as the camera's does.
@@ -248,8 +248,8 @@ def describe_hha(recipe: Recipe) -> dict[str, Any]:
             "gravity": "from cam_to_road where a frame has it, else estimated",
             "horizontal_disparity": "31000 / max(depth, 100), depth in cm",
             # Stores made before there was a choice do not say it.
-            **({} if recipe.hha_ground == "lowest" else {"ground": recipe.hha_ground}),
-            "height": _HEIGHTS[recipe.hha_ground],
+            **({} if recipe.ground == "lowest" else {"ground": recipe.ground}),
+            "height": _HEIGHTS[recipe.ground],
             "angle": "degrees between normal and gravity, plus 38: floor 38, wall 128",
         },
     }

@@ -37,8 +37,10 @@ class RecipeOptions(Options):
         least=0,
         metavar="PER_METRE",
     )
-    hha_ground: Ground = option(
-        "floor", "Count HHA's heights from the floor, or from the lowest point as the reference."
+    hha_ground: Ground | None = option(
+        None,
+        "Count HHA's heights from the floor, or from the lowest point as the reference; default: "
+        "floor, datasets of rooms: lowest.",
     )
     fill: Fill = option("none", "Fill holes in depth before normals and HHA are made from it.")
     store_filled: bool = option(False, "Store the filled depth, not the raw one.")
@@ -61,6 +63,11 @@ class Recipe(RecipeOptions):
     """
 
     virtual_baseline_m: float = VIRTUAL_BASELINE_M
+
+    @property
+    def ground(self) -> Ground:
+        """Where HHA's heights are counted from."""
+        return self.hha_ground or "floor"
 
     def describe(self, name: str) -> dict[str, Any]:
         """Return what a store's metadata says of how a modality was made."""

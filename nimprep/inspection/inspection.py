@@ -18,7 +18,7 @@ from nimprep.inspection.encodings import Encoding
 from nimprep.inspection.examination import Examination, Plane, examined
 from nimprep.inspection.holdings import Holding, holding_at
 from nimprep.inspection.kinds import Kind
-from nimprep.inspection.layouts import fitting_reader
+from nimprep.inspection.layouts import description_of, fitting_reader, is_known
 from nimprep.inspection.survey import Survey, survey_folder
 from nimprep.readers import ReaderName
 from nimprep.readers.description_file import description_from_document
@@ -164,13 +164,14 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
     fitting = fitting_reader(survey.root) if made.source == survey.root else None
     for plane in sorted_depth(found.of_kind(Kind.DEPTH, Kind.DISPARITY)):
         made.depth.append((plane, depth_encodings(found, plane)))
-    near = None if fitting else nearby_dataset(made.source)
+    near = None if fitting else nearby_dataset(made.source, is_known)
     if near is not None:
         made.notes.append(f"did you mean {near}?")
     if fitting:
         made.reader, frames = fitting
         made.kind, made.what = "reader", f"a dataset of {frames} frames in the layout {fitting[0]}"
         made.next_steps = [f"nimprep convert {made.source} OUT.zarr"]
+        made.description = description_of(fitting[0], made.source)
     elif found.planes:
         made.kind, made.what = "images", _summary(found)
         _describe(made, found)

@@ -1,11 +1,37 @@
-"""Which reader's layout a folder has, itself, above or within."""
+"""Which reader's layout a folder has, and how a dataset known by name is described."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-from nimprep.errors import NimprepError
+from nimprep.errors import LayoutError, NimprepError
 from nimprep.readers import READERS, ReaderName, ReaderOptions, open_reader
+from nimprep.readers.named import described
+from nimprep.readers.recognition import known_by_files, place_of
+from nimprep.readers.signs import Listings
+
+
+def is_known(folder: Path) -> bool:
+    """Return whether a folder has the files of a dataset that is known."""
+    try:
+        return known_by_files(folder, Listings(MOST_FOLDERS)) is not None
+    except LayoutError:
+        # Of several.
+        return True
+
+
+MOST_FOLDERS = 400
+"""So many folders are looked into for a dataset near a folder."""
+
+
+def description_of(name: ReaderName, root: Path) -> dict[str, Any] | None:
+    """Return the description of a dataset known by name, as it is in a folder; None = has none."""
+    layout, listings = READERS[name], Listings()
+    if layout.dataset is None:
+        return None
+    place = place_of(layout, root, listings) or root
+    return {**described(layout.dataset.found(place, listings))}
 
 
 def fitting_reader(root: Path) -> tuple[ReaderName, int] | None:
@@ -13,8 +39,11 @@ def fitting_reader(root: Path) -> tuple[ReaderName, int] | None:
 
     A reader's folders alone do not tell: TUM's rgb/ is GMRP's too.
     """
+    known = known_by_files(root, Listings())
     for name, layout in READERS.items():
-        if not any((root / mark).is_dir() for mark in layout.marks):
+        if known is not None and name != known.reader:
+            continue
+        if known is None and not any((root / mark).is_dir() for mark in layout.marks):
             continue
         for labels in (True, False):
             try:

@@ -1,29 +1,38 @@
-"""Readers of raw datasets, by name; a new dataset is one module and one entry here."""
+"""Readers of raw datasets, by name; most are a file in datasets/, see CONTRIBUTING.md."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from inspect import Parameter, signature
+from inspect import Parameter
+from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, Literal, NamedTuple, TypedDict
+from typing import Any, TypedDict
 
-from nimprep.errors import LayoutError, OptionError
+from nimprep.errors import ArrayError, LayoutError, OptionError
 from nimprep.kitti.names import DepthFrom, Target
 from nimprep.options import Options, documented, option, options_of
 from nimprep.readers.base import CalibrationOrigin, DatasetInfo, Reader
 from nimprep.readers.cameras import camera_from, numbers_of
+from nimprep.readers.datasets import FLAGS, defaults_of, having, label_sets
 from nimprep.readers.description import MOST_SCALE_M, DistortionRule, Size, metres_per_unit
-from nimprep.readers.nearby import nearby_dataset
+from nimprep.readers.layouts import READERS, Layout, ReaderName
+from nimprep.readers.recognition import place_of, recognised
 from nimprep.readers.resizing import size_from
-from nimprep.readers.tree import check_root
+from nimprep.readers.signs import Listings
 
-__all__ = ["READERS", "CalibrationOrigin", "DatasetInfo", "Reader", "ReaderOptions", "open_reader"]
-
-
-ReaderName = Literal["auto", "gmrp", "kitti-road", "folder"]
+__all__ = [
+    "READERS",
+    "CalibrationOrigin",
+    "DatasetInfo",
+    "Layout",
+    "Reader",
+    "ReaderName",
+    "ReaderOptions",
+    "open_reader",
+]
 
 
 @documented
@@ -66,13 +75,50 @@ class ReaderOptions(Options):
         "auto", "Where KITTI road's depth comes from; auto: depth_u16, else LiDAR, else stereo."
     )
     sparse: bool = option(False, "Leave KITTI road's depth as measured.")
+    label_set: str | None = option(
+        None, f"Which labels of a dataset that has several: {label_sets()}.", flag="labels"
+    )
+    variations: Sequence[str] | str | None = option(
+        None, f"Comma-separated, of {having('variations')}; default: {defaults_of('variations')}."
+    )
+    camera_index: int | None = option(
+        None,
+        f"Which camera, of {having('camera_index')}; default: {defaults_of('camera_index')}; "
+        "--camera N is the same.",
+        least=0,
+        most=99,
+    )
+    lists: Path | str | None = option(
+        None,
+        f"File or folder of the official lists of {having('lists')}, if they are not beside SRC.",
+    )
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "camera", self._camera_chosen())
         super().__post_init__()
+        if isinstance(self.variations, str):
+            object.__setattr__(self, "variations", self.variations.split(","))
+        if self.variations is not None:
+            object.__setattr__(self, "variations", tuple(map(str, self.variations)))
         if self.camera is not None and not isinstance(self.camera, (str, PathLike)):
             object.__setattr__(self, "camera", numbers_of(self.camera))
         if self.size is not None:
             object.__setattr__(self, "size", size_from(self.size))
+
+    def _camera_chosen(self) -> Any:
+        """Return the camera's file or numbers; a number alone is its index, unless it is a file."""
+        given: Any = self.camera
+        if isinstance(given, str) and given.isdecimal() and not Path(given).exists():
+            given = int(given)
+        if not isinstance(given, Integral) or isinstance(given, bool):
+            return given
+        if self.camera_index not in (None, given):
+            raise ArrayError(
+                f"camera_index: expected it or a number as camera, found {self.camera_index} and "
+                f"{given}; leave one out"
+            )
+        object.__setattr__(self, "camera_index", int(given))
+        return None
 
 
 class ReaderKeywords(TypedDict, total=False):
@@ -86,63 +132,10 @@ class ReaderKeywords(TypedDict, total=False):
     target: Target
     depth_from: DepthFrom
     sparse: bool
-
-
-class Layout(NamedTuple):
-    """Describe what a reader is for.
-
-    Attributes
-    ----------
-    about : str
-        What is where, for people.
-    open : str
-        "module:function", called with the dataset's folder and, by their names, with the options
-        of `ReaderOptions` that it takes; with `labels`, `depth` and `official` of `open_reader`.
-    marks : tuple of str
-        Folders, any of which tells that a dataset has this layout.
-    """
-
-    about: str
-    open: str
-    marks: tuple[str, ...] = ()
-
-
-READERS: dict[ReaderName, Layout] = {
-    "kitti-road": Layout(
-        "training/ and testing/ with image_2/, calib/ and gt_image_2/",
-        "nimprep.readers.kitti_road:KittiRoadReader",
-        ("training/image_2", "testing/image_2"),
-    ),
-    "gmrp": Layout(
-        "rgb/, depth_u16/ and label/ with equal file names",
-        "nimprep.readers.gmrp:open_gmrp",
-        ("depth_u16", "rgb"),
-    ),
-    "folder": Layout(
-        "anything a --description FILE.json describes", "nimprep.readers.folder:FolderReader"
-    ),
-}
-"""The readers, in the order in which their layouts are looked for."""
-
-
-def sniff(root: Path) -> ReaderName:
-    """Return the name of the reader whose layout a folder has.
-
-    Raises
-    ------
-    LayoutError
-        The folder is missing, or has no known layout.
-    """
-    check_root(root)
-    for name, layout in READERS.items():
-        if any((root / mark).is_dir() for mark in layout.marks):
-            return name
-    known = "; ".join(f"{name}: {layout.about}" for name, layout in READERS.items())
-    entries = sorted(p.name for p in root.iterdir())[:5]
-    found = ", ".join(entries) if entries else "an empty folder"
-    near = nearby_dataset(root)
-    step = f"nimprep inspect {root} says what it is" if near is None else f"did you mean {near}?"
-    raise LayoutError(f"{root}: expected a known layout ({known}), found {found}; {step}")
+    label_set: str | None
+    variations: Sequence[str] | str | None
+    camera_index: int | None
+    lists: Path | str | None
 
 
 def open_reader(
@@ -176,11 +169,13 @@ def open_reader(
         The camera's file or numbers make no camera.
     """
     root, options = Path(root), options or ReaderOptions()
-    name = options.reader
+    name, place = options.reader, root
     if name == "auto":
-        name = "folder" if options.description else sniff(root)
-    make = resolve_name(READERS[name].open)
-    parameters = signature(make).parameters
+        name, place = ("folder", root) if options.description else recognised(root)
+    elif READERS[name].signs:
+        place = place_of(READERS[name], root, Listings()) or root
+    layout = READERS[name]
+    parameters = layout.parameters()
     given = {
         each.name: value
         for each in options_of(ReaderOptions).values()
@@ -192,7 +187,8 @@ def open_reader(
     asked = (("labels", labels), ("depth", depth), ("official", official))
     wanted = {name: value for name, value in asked if name in parameters}
     try:
-        reader: Reader = make(root, **wanted, **given)
+        make = resolve_name(layout.open)
+        reader: Reader = make(place, **layout.keywords(), **wanted, **given)
     except LayoutError as error:
         if options.reader == "auto" and not options.description:
             error.add_note(f"nimprep inspect {root} says what is there")
@@ -217,4 +213,6 @@ def _check_taken(
 
 
 def _flag(name: str) -> str:
-    return "--camera or --intrinsics" if name == "camera" else f"--{name.replace('_', '-')}"
+    if name == "camera":
+        return "--camera or --intrinsics"
+    return FLAGS.get(name, f"--{name.replace('_', '-')}")

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+from nimprep.derive.methods import Ground
 from nimprep.frame import Frame, LabelClass
 from nimprep.images import read_header
 from nimprep.modality import MODALITIES, Modality
+from nimprep.readers.description import Reference
 from nimprep.splits import SplitName, SplitRule
 
 OfficialSplit = SplitName | Literal["none"]
@@ -38,6 +40,10 @@ class DatasetInfo:
         What frames have in `others` beside the modalities that the tool knows: see `nimprep.plane`.
     has_depth : bool
         Whether frames have depth at all.
+    hha_ground : {"floor", "lowest"}, optional
+        Where HHA's heights are counted from, unless the user says so; None = the floor.
+    reference : Reference, optional
+        Whose the dataset is.
     """
 
     name: str
@@ -47,6 +53,8 @@ class DatasetInfo:
     split_by: SplitRule | None = None
     planes: tuple[Modality, ...] = ()
     has_depth: bool = True
+    hha_ground: Ground | None = None
+    reference: Reference | None = None
 
 
 class Reader(Protocol):

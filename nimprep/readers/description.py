@@ -6,9 +6,11 @@ schemas/folder.schema.json says the same of a JSON file, name by name, with what
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
+from nimprep.derive.methods import Ground
 from nimprep.frame import LabelClass
 from nimprep.images import Layout, OrientationRule, Raw
 from nimprep.splits import SplitName
@@ -16,8 +18,9 @@ from nimprep.splits import SplitName
 MOST_SCALE_M = 1000
 """The largest scale_m of the schema: metres of numbers from 0 to 1, to the far plane."""
 
-Missing = Literal["error", "skip", "none"]
-"""What a frame is that lacks a file: bad, left out, or one that has none."""
+Missing = Literal["error", "skip", "none", "split"]
+"""What a frame is that lacks a file: bad, left out, or one that has none; split: one that has none
+where its whole split lacks it, and bad otherwise."""
 
 DistortionRule = Literal["undistort", "refuse", "rectified"]
 """What to do about distortion coefficients that are not 0; rectified: the images have none left."""
@@ -46,7 +49,7 @@ class PlaneSource:
     channel : "R", "G", "B", "A" or int, optional
         The one that counts; None = all.
     byte_order : {"little", "big", "swapped"}, optional
-    missing : {"error", "skip", "none"}
+    missing : {"error", "skip", "none", "split"}
     orientation : {"apply", "ignore", "refuse"}
         What to do with an EXIF orientation.
     """
@@ -205,12 +208,16 @@ class CameraSource:
 
 @dataclass(frozen=True, kw_only=True)
 class SplitSource:
-    """Say whose split the dataset's authors chose: by a template and names, or by list files."""
+    """Say whose split the dataset's authors chose: by a template and names, or by list files.
+
+    The lists' patterns are below `folder`; None = the dataset's.
+    """
 
     of: str | None = None
     names: Mapping[str, SplitName | Literal["skip"]] | None = None
     lists: Mapping[SplitName, str] = field(default_factory=dict)
     rest: SplitName | Literal["error", "skip"] = "error"
+    folder: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,6 +230,33 @@ class Match:
     lists: Mapping[str, str] = field(default_factory=dict)
     pairs: str | None = None
     columns: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Say whose a dataset is: what to respect and to cite; "" = not said.
+
+    Attributes
+    ----------
+    title : str
+    licence : str
+    citation : str
+        A reference, or BibTeX.
+    paper : str
+        Its DOI or address.
+    url : str
+        Where the dataset is had from.
+    """
+
+    title: str = ""
+    licence: str = ""
+    citation: str = ""
+    paper: str = ""
+    url: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Return what is said."""
+        return {name: value for name, value in asdict(self).items() if value}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,6 +283,14 @@ class Description:
         None = files of equal placeholders belong together.
     size : {"rgb", "depth"} or (width, height), optional
         To which registered images of different size are brought.
+    only : mapping of placeholder to values
+        Frames whose placeholders stand for others are passed over.
+    hha_ground : {"floor", "lowest"}, optional
+        Where HHA's heights are counted from, unless the user says so.
+    reference : Reference, optional
+        Whose it is.
+    notes : tuple of str
+        One line each: what is to be said of how it was described.
     """
 
     name: str
@@ -264,6 +306,10 @@ class Description:
     no_split: bool = False
     match: Match | None = None
     size: Size | None = None
+    only: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    hha_ground: Ground | None = None
+    reference: Reference | None = None
+    notes: tuple[str, ...] = ()
 
     def sources(self) -> Iterator[tuple[str, PlaneSource]]:
         """Yield every kind of image that a frame has, by name: planes under their own."""

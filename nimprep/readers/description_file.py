@@ -21,6 +21,7 @@ from nimprep.readers.description import (
     LabelSource,
     Match,
     PlaneSource,
+    Reference,
     SplitSource,
     metres_per_unit,
 )
@@ -77,6 +78,9 @@ def description_from_document(document: Any, where: str) -> Description:
         no_split=document.get("split") is False,
         match=_match(document.get("match")),
         size=_frozen(document.get("size")),
+        only={name: tuple(values) for name, values in document.get("only", {}).items()},
+        hha_ground=document.get("hha_ground"),
+        reference=Reference(**document["reference"]) if "reference" in document else None,
     )
     return _oriented(described, document.get("orientation", "apply"))
 

@@ -130,7 +130,10 @@ class FolderReader(ReaderBase):
             calibration=self._cameras.origin,
             has_depth="depth" in self._matched.places,
             planes=self._planes(),
+            hha_ground=description.hha_ground,
+            reference=description.reference,
             notes=(
+                *description.notes,
                 *nominal,
                 *self._distortion_notes(),
                 *self._matched.notes,

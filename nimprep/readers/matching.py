@@ -11,6 +11,7 @@ from pathlib import Path
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.files import read_start
 from nimprep.images.signatures import NEEDED, unread_format
+from nimprep.readers.chosen import chosen_colors, chosen_of
 from nimprep.readers.description import CONFIDENCE, Description, PlaneSource
 from nimprep.readers.found import Found, by_placeholders, found_images, only
 from nimprep.readers.found import Place as Place
@@ -63,12 +64,12 @@ def matched_frames(root: Path, description: Description, wanted: Collection[str]
         A folder is missing or empty, there are no frames, or two files claim to be one.
     """
     template = description.id or "{id}"
-    colors = _colors(root, description.rgb, template)
+    colors = _colors(root, description.rgb, template, description.only)
     captured = {i: found.values for i, found in colors.items()}
     known = next(iter(captured.values()))
     places = {"rgb": {i: found.place for i, found in colors.items()}}
     others = {
-        name: _images(root, source, labels=source is description.label)
+        name: chosen_of(_images(root, source, labels=source is description.label), description.only)
         for name, source in description.sources()
         if source is not description.rgb and name in wanted
     }
@@ -109,7 +110,9 @@ def _images(root: Path, source: PlaneSource, *, labels: bool) -> list[Found]:
     return images
 
 
-def _colors(root: Path, source: PlaneSource, template: str) -> dict[str, Found]:
+def _colors(
+    root: Path, source: PlaneSource, template: str, wanted: Mapping[str, Sequence[str]]
+) -> dict[str, Found]:
     """Return the colour image of every frame that has one, by id."""
     images = found_images(root, source)
     if not images:
@@ -117,6 +120,7 @@ def _colors(root: Path, source: PlaneSource, template: str) -> dict[str, Found]:
             f"{root}: expected rgb files {source.files!r}, found none; compare the pattern with "
             "the names there"
         )
+    images = chosen_colors(root, images, wanted)
     known = images[0].values
     if lost := [name for name in placeholders(template) if name not in known]:
         _refuse_unread(images[0].place.path)

@@ -41,7 +41,13 @@ def judged(
             lost = [i for i in lost if i not in unlabelled]
         elif name == CONFIDENCE:
             lost = [i for i in lost if i in matched.places["depth"]]
-        if source.missing == "error":
+        elif source.missing == "split":
+            none = _lacking_splits(matched.places[name], matched.ids, splits)
+            if none:
+                _check_none(root, description, name, source)
+            lost = [i for i in lost if splits.get(i) not in none]
+            notes += [f"none of the frames of split {split} has {name}" for split in sorted(none)]
+        if source.missing in ("error", "split"):
             for i in lost:
                 # Paired in another way, its name does not follow from colour's.
                 known = {} if description.match else {"id": i, **matched.captured[i]}
@@ -53,7 +59,7 @@ def judged(
             left_out.update(lost)
         else:
             _check_none(root, description, name, source)
-        if lost and source.missing != "error":
+        if lost and source.missing not in ("error", "split"):
             what = "are left out: they have" if source.missing == "skip" else "have"
             notes.append(f"{len(lost)} of {len(matched.ids)} frames {what} no {name}")
     ids = tuple(i for i in matched.ids if i not in left_out)
@@ -71,7 +77,7 @@ def _unlabelled(
     notes: list[str],
 ) -> Collection[str]:
     """Return the frames of the splits that have no labels at all, where others have."""
-    if description.label is None or description.label.missing != "error":
+    if description.label is None or description.label.missing not in ("error", "split"):
         return ()
     labelled = matched.places.get("label", {})
     found: set[str] = set()
@@ -86,6 +92,14 @@ def _unlabelled(
                 f"{IGNORE_LABEL} throughout"
             )
     return found if labelled else ()
+
+
+def _lacking_splits(
+    places: Collection[str], ids: Collection[str], splits: Mapping[str, OfficialSplit]
+) -> set[OfficialSplit]:
+    """Return the splits none of whose frames has an image, where frames of others have it."""
+    lost = {splits[i] for i in ids if i in splits} - {splits[i] for i in places if i in splits}
+    return lost if places else set()
 
 
 def _expected(pattern: str, values: Mapping[str, str]) -> str:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 _MOST_FOLDERS = 200
+_LEVELS_ABOVE = 3
 
 
-def nearby_dataset(root: Path) -> Path | None:
-    """Return the folder with a known layout within a folder, at most 2 deep, or above it.
+def nearby_dataset(root: Path, is_known: Callable[[Path], bool]) -> Path | None:
+    """Return the folder that is a dataset within a folder, at most 2 deep, or above it, at most 3.
 
-    Only folders' names are looked at, of at most 200 folders.
+    Of at most 200 folders within it is asked.
+
+    Parameters
+    ----------
+    is_known : callable
+        Tells whether a folder is a dataset.
     """
     looked = 0
     level = [root]
@@ -19,12 +26,15 @@ def nearby_dataset(root: Path) -> Path | None:
         level = [inner for folder in level for inner in _folders(folder)][:_MOST_FOLDERS]
         for folder in level:
             looked += 1
-            if _is_known(folder):
+            if is_known(folder):
                 return folder
             if looked >= _MOST_FOLDERS:
                 return None
-    above = Path(os.path.abspath(root)).parent  # noqa: PTH100 - "." has no parent otherwise
-    return above if _is_known(above) and above != root else None
+    above = Path(os.path.abspath(root))  # noqa: PTH100 - "." has no parent otherwise
+    for folder in above.parents[:_LEVELS_ABOVE]:
+        if is_known(folder):
+            return folder
+    return None
 
 
 def _folders(folder: Path) -> list[Path]:
@@ -34,13 +44,3 @@ def _folders(folder: Path) -> list[Path]:
     except OSError:
         return []
     return [folder / name for name in names[:_MOST_FOLDERS]]
-
-
-def _is_known(folder: Path) -> bool:
-    """Tell whether a folder has all that GMRP's or KITTI road's layout needs."""
-    if all((folder / name).is_dir() for name in ("rgb", "depth_u16")):
-        return True
-    return any(
-        (folder / split / "image_2").is_dir() and (folder / split / "calib").is_dir()
-        for split in ("training", "testing")
-    )

@@ -135,7 +135,7 @@ def _by_lists(root: Path, source: SplitSource, matched: Matched) -> OfficialSpli
     """Return the splits that the description's lists name."""
     lists = []
     for called, files in source.lists.items():
-        found = [(called, path) for path, _ in found_files(root, files)]
+        found = [(called, path) for path, _ in found_files(source.folder or root, files)]
         if not found:
             raise SplitError(
                 f"{root}: expected lists {files!r} of {called}, found none; mend the pattern"

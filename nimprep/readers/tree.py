@@ -64,7 +64,7 @@ def check_root(root: Path) -> None:
 def _folders_near(missing: Path) -> str:
     """Return what to compare a missing folder with: those beside it, or where it should begin."""
     there = next(parent for parent in missing.parents if os.path.isdir(parent))  # noqa: PTH112
-    names = sorted(p.name for p in there.iterdir() if p.is_dir() and _counts(p.name))
+    names = sorted(p.name for p in there.iterdir() if p.is_dir() and counts(p.name))
     if not names:
         return f"{there} holds no folders"
     more = ", ..." if len(names) > _MOST_NAMES else ""
@@ -114,13 +114,14 @@ def _files_below(start: Path, root: Path) -> Iterator[Path]:
         count += len(names) + 1
         if count > MAX_FILES:
             raise LayoutError(f"{start}: expected at most {MAX_FILES} files, found more")
-        subfolders[:] = sorted(filter(_counts, subfolders))
-        for name in sorted(filter(_counts, names)):
+        subfolders[:] = sorted(filter(counts, subfolders))
+        for name in sorted(filter(counts, names)):
             path = Path(folder, name)
             # A pipe or a device would wait for ever; a link to nothing is an error when read.
             if path.is_file() or not path.exists():
                 yield path
 
 
-def _counts(name: str) -> bool:
+def counts(name: str) -> bool:
+    """Tell whether a name is looked at: it is not hidden, and no litter of systems."""
     return not name.startswith(".") and name.lower() not in _LITTER

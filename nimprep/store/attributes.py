@@ -49,6 +49,7 @@ class StoreAttributes:
     codec: str
     split: Split
     fixed_splits: dict[SplitName, list[str]] = field(default_factory=dict)
+    references: list[dict[str, str]] = field(default_factory=list)
     frame_metadata: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
     skipped: list[dict[str, str]] = field(default_factory=list)
     doubts: list[dict[str, Any]] = field(default_factory=list)

@@ -33,6 +33,7 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         "tool_version": about.tool_version,
         "complete": about.complete,
         "dataset": about.dataset,
+        "references": about.references,
         "frames": len(store),
         "sizes": [{"height": h, "width": w, "frames": n} for (h, w), n in sorted(sizes.items())],
         "classes": about.classes,
@@ -142,6 +143,12 @@ def info_text(info: dict[str, Any]) -> str:
         rows.append(("groups", f"{len(info['groups'])} {kind}"))
     if info["classes"]:
         rows.append(("classes", ", ".join(f"{c['id']} {c['name']}" for c in info["classes"])))
+    for reference in info["references"]:
+        rows += [
+            (name, " ".join(reference[key].split()))
+            for name, key in (("of", "title"), ("licence", "licence"), ("cite", "citation"))
+            if key in reference
+        ]
     if info["skipped"]:
         rows.append(("skipped", f"{len(info['skipped'])} bad frames of the source"))
     rows += [("doubt", sentence(doubt)) for doubt in info["doubts"]]

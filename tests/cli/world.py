@@ -25,7 +25,7 @@ COLOURS = [[0, 0, 0], [0, 200, 0]]
 
 READ = {
     *("src", "store", "stores", "predictions", "gt", "images"),
-    *("calib", "description", "camera", "import_file", "split_file"),
+    *("calib", "description", "camera", "import_file", "split_file", "lists"),
 }
 """Parameters that name what is read alone."""
 

@@ -28,6 +28,13 @@ def layout_maker(reference_data: Path) -> ModuleType:
     return module
 
 
+@pytest.fixture
+def unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no dataset be known by name: what inspect says of a folder is told by its files."""
+    monkeypatch.setattr("nimprep.inspection.inspection.fitting_reader", lambda root: None)
+    monkeypatch.setattr("nimprep.inspection.inspection.is_known", lambda folder: False)
+
+
 @pytest.fixture(scope="session")
 def layout(
     layout_maker: ModuleType, tmp_path_factory: pytest.TempPathFactory

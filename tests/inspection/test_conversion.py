@@ -19,6 +19,8 @@ from nimprep.readers.description_file import description_from_document
 from nimprep.readers.folder import FolderReader
 from tests.inspection import scenes
 
+pytestmark = pytest.mark.usefixtures("unknown")
+
 
 @dataclass(frozen=True)
 class Truth:

@@ -11,6 +11,8 @@ import pytest
 from nimprep.inspection.inspection import inspect_source
 from nimprep.schema import schema_problems
 
+pytestmark = pytest.mark.usefixtures("unknown")
+
 CARLA = 1000 / (256**3 - 1)
 
 ENCODINGS: dict[str, dict[str, Any]] = {

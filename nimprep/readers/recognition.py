@@ -1,0 +1,124 @@
+"""Which dataset a folder is, by signs of files; or what it lacks to be one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from nimprep.errors import LayoutError
+from nimprep.readers.layouts import READERS, Layout, ReaderName
+from nimprep.readers.nearby import nearby_dataset
+from nimprep.readers.signs import Listings
+from nimprep.readers.tree import check_root
+
+
+class Recognised(NamedTuple):
+    """Name the reader of a folder, and the folder that it reads."""
+
+    reader: ReaderName
+    root: Path
+
+
+def recognised(root: Path) -> Recognised:
+    """Return the reader whose layout a folder has.
+
+    Files that are there tell; where none do, folders' names, as what lacks files is to be said so
+    by the reader.
+
+    Raises
+    ------
+    LayoutError
+        The folder is missing, or has no known layout, or several.
+    """
+    check_root(root)
+    listings = Listings()
+    found = known_by_files(root, listings)
+    if found is not None:
+        return found
+    for name, layout in READERS.items():
+        if any((root / mark).is_dir() for mark in layout.marks):
+            return Recognised(name, root)
+    entries = sorted(p.name for p in root.iterdir())[:5]
+    there = ", ".join(entries) if entries else "an empty folder"
+    known = ", ".join(READERS)
+    raise LayoutError(
+        f"{root}: expected a known layout ({known}), found {there}; {_step(root, listings)}"
+    )
+
+
+def known_by_files(root: Path, listings: Listings) -> Recognised | None:
+    """Return the reader whose signs a folder has; None = it has none's.
+
+    Raises
+    ------
+    LayoutError
+        It has the signs of several, of which none is the special case of the others.
+    """
+    fitting = {
+        name: place
+        for name, layout in READERS.items()
+        if (place := place_of(layout, root, listings)) is not None
+    }
+    general = {other for name in fitting for other in READERS[name].over}
+    left = [name for name in fitting if name not in general]
+    if len(left) > 1:
+        raise LayoutError(
+            f"{root}: expected files of one dataset, found those of {' and '.join(left)}; say "
+            f"which is meant with --reader {left[0]}"
+        )
+    return Recognised(left[0], fitting[left[0]]) if left else None
+
+
+def place_of(layout: Layout, root: Path, listings: Listings) -> Path | None:
+    """Return the folder in which a layout's signs are; None = they are not."""
+    for inner in layout.roots if layout.signs else ():
+        place = root / inner
+        if any(listings.has(place, sign) for sign in layout.not_signs):
+            continue
+        if all(listings.has(place, sign) for sign in layout.signs):
+            return place
+    return None
+
+
+def _step(root: Path, listings: Listings) -> str:
+    """Return what to do about a folder that is none."""
+    near = nearby_dataset(root, lambda folder: known_by_files(folder, listings) is not None)
+    if near is not None:
+        return f"did you mean {near}?"
+    lacking = sorted(_lacking(root, listings), key=lambda each: -each[0])
+    if lacking and (len(lacking) == 1 or lacking[0][0] > lacking[1][0]):
+        return lacking[0][1]
+    return f"nimprep inspect {root} says what it is"
+
+
+def _lacking(root: Path, listings: Listings) -> Iterator[tuple[int, str]]:
+    """Yield the datasets of which a folder has some files, but not all signs: how many, and what.
+
+    Depth or labels alone, as of archives that were unpacked without colour's.
+    """
+    for name, layout in READERS.items():
+        if layout.dataset is None:
+            continue
+        for inner in layout.roots:
+            lost = [sign for sign in layout.signs if not listings.has(root / inner, sign)]
+            document = layout.dataset.found(root / inner, listings).document["description"]
+            parts = [document.get(kind) for kind in ("depth", "label")]
+            there = sum(
+                listings.has(root / inner, probed(part["files"]))
+                for part in parts
+                if isinstance(part, dict) and "files" in part
+            )
+            if lost and there:
+                first = lost[0] if isinstance(lost[0], str) else lost[0][0]
+                comes = layout.dataset.document.get("unpack", {}).get("rgb")
+                step = f"; unpack {comes} there" if comes else ""
+                yield there, f"for {name} it lacks {first!r}{step}"
+
+
+def probed(pattern: str) -> str:
+    """Return a description's pattern as one of a sign: what spans folders there does so here."""
+    return "/".join(
+        f"**/{part}" if "{id}" in part and not part.startswith("**") else part
+        for part in pattern.split("/")
+    )
