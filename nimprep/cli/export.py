@@ -17,10 +17,10 @@ from nimprep.cli.options import progress_bars, quiet_option
 @click.option(
     "--format",
     "form",
-    type=click.Choice(["png", "rerun", "npz", "rgbx"]),
+    type=click.Choice(["png", "rerun", "npz", "rgbx", "roadformer"]),
     required=True,
     help="png: GMRP's raw layout; rerun: one .rrd recording; npz: one archive per frame; rgbx: for "
-    "CMX, DFormer and Sigma.",
+    "CMX, DFormer and Sigma; roadformer: for RoadFormer.",
 )
 @click.option(
     "--frames",
@@ -69,9 +69,11 @@ def export(
            normal (unit vectors), hha, label ...; K, baseline_m, cam_to_road, gravity (NaN =
            none); id, split, group.
     rgbx   RGB/ Depth/ HHA/ Label/ train.txt val.txt test.txt: for CMX, DFormer, Sigma.
+    roadformer
+           images/ normal/ annotations/, in each training/ validation/ testing/.
 
     \b
-    Frames without a split are left out of rgbx; what it loses is said.
+    Frames without a split are left out of these; what they lose is said.
 
     \b
     --frames test         the test split

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
+import PIL.Image
 
 Image = npt.NDArray[Any]
 
@@ -67,3 +68,31 @@ class Rgbx:
         # They then divide by 255 and normalise.
         assert x.dtype == np.uint8
         return Sample(rgb, x, label - np.uint8(1))
+
+
+@dataclass
+class RoadFormer:
+    """RoadFormer on mmsegmentation: github.com/LiJiahang617/Road-Former.
+
+    mmseg_custom/datasets/mmcarla.py lists the files, mmcv_custom/transforms/loading.py
+    (LoadMultimodalImageFromFile) reads them, mmsegmentation's LoadAnnotations reads labels.
+    """
+
+    root: Path
+    modality: str = "normal"
+
+    def names(self, split: str) -> list[str]:
+        folder = self.root / "images" / split
+        return sorted(str(path.relative_to(folder)) for path in folder.rglob("*.png"))
+
+    def load(self, split: str, name: str) -> Sample:
+        image = opened(self.root / "images" / split / name, cv2.IMREAD_UNCHANGED)
+        other = opened(self.root / self.modality / split / name, cv2.IMREAD_UNCHANGED)
+        if self.modality == "normal":
+            assert other.ndim == 3
+            # "normal img is uint16, multiplied by 65535, so must divided"
+            other = other.astype(np.float32) / 65535
+        label = np.asarray(PIL.Image.open(self.root / "annotations" / split / name))
+        assert label.ndim == 2
+        other = other[:, :, ::-1] if other.ndim == 3 else other
+        return Sample(image[:, :, ::-1], other, label.astype(np.uint8))
