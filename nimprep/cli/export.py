@@ -17,10 +17,11 @@ from nimprep.cli.options import progress_bars, quiet_option
 @click.option(
     "--format",
     "form",
-    type=click.Choice(["png", "rerun", "npz", "rgbx", "roadformer"]),
+    type=click.Choice(["png", "rerun", "npz", "rgbx", "roadformer", "voc"]),
     required=True,
     help="png: GMRP's raw layout; rerun: one .rrd recording; npz: one archive per frame; rgbx: for "
-    "CMX, DFormer and Sigma; roadformer: for RoadFormer.",
+    "CMX, DFormer and Sigma; roadformer: for RoadFormer; voc: "
+    "PASCAL VOC's.",
 )
 @click.option(
     "--frames",
@@ -71,6 +72,7 @@ def export(
     rgbx   RGB/ Depth/ HHA/ Label/ train.txt val.txt test.txt: for CMX, DFormer, Sigma.
     roadformer
            images/ normal/ annotations/, in each training/ validation/ testing/.
+    voc    JPEGImages/ SegmentationClass/ ImageSets/Segmentation/; 255 = void.
 
     \b
     Frames without a split are left out of these; what they lose is said.

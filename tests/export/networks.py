@@ -71,6 +71,27 @@ class Rgbx:
 
 
 @dataclass
+class Voc:
+    """VOC's segmentation as torchvision's VOCSegmentation and mmsegmentation's dataset read it."""
+
+    root: Path
+
+    def names(self, split: str) -> list[str]:
+        text = (self.root / "ImageSets" / "Segmentation" / f"{split}.txt").read_text()
+        return [line.strip() for line in text.splitlines()]
+
+    def load(self, name: str) -> Sample:
+        with (
+            PIL.Image.open(self.root / "JPEGImages" / f"{name}.jpg") as image,
+            PIL.Image.open(self.root / "SegmentationClass" / f"{name}.png") as mask,
+        ):
+            assert image.format == "JPEG"
+            assert mask.mode == "P"
+            pixels = np.asarray(image.convert("RGB"))
+            return Sample(pixels, np.asarray(mask.convert("RGB")), np.asarray(mask))
+
+
+@dataclass
 class RoadFormer:
     """RoadFormer on mmsegmentation: github.com/LiJiahang617/Road-Former.
 

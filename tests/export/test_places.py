@@ -19,7 +19,7 @@ from nimprep.export.places import files_of, flat_names, id_of
 from nimprep.store.reader import Store
 from tests.fakes import write_gmrp
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*(8 bits|not in the store)")
+pytestmark = pytest.mark.filterwarnings("ignore:.*(8 bits|not in the store|colour is JPEG)")
 
 
 def run(*arguments: object) -> Result:
