@@ -17,11 +17,11 @@ from nimprep.cli.options import progress_bars, quiet_option
 @click.option(
     "--format",
     "form",
-    type=click.Choice(["png", "rerun", "npz", "rgbx", "roadformer", "voc"]),
+    type=click.Choice(["png", "rerun", "npz", "rgbx", "roadformer", "voc", "coco"]),
     required=True,
     help="png: GMRP's raw layout; rerun: one .rrd recording; npz: one archive per frame; rgbx: for "
     "CMX, DFormer and Sigma; roadformer: for RoadFormer; voc: "
-    "PASCAL VOC's.",
+    "PASCAL VOC's; coco: COCO's JSON.",
 )
 @click.option(
     "--frames",
@@ -73,6 +73,7 @@ def export(
     roadformer
            images/ normal/ annotations/, in each training/ validation/ testing/.
     voc    JPEGImages/ SegmentationClass/ ImageSets/Segmentation/; 255 = void.
+    coco   images/ annotations/instances_train.json ...: a mask of each class of each image.
 
     \b
     Frames without a split are left out of these; what they lose is said.

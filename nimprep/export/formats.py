@@ -17,13 +17,14 @@ from nimprep.modality import modality_name
 from nimprep.parallel import Progress, map_frames
 from nimprep.store.reader import Store, open_store
 
-Format = Literal["png", "rerun", "npz", "rgbx", "roadformer", "voc"]
+Format = Literal["png", "rerun", "npz", "rgbx", "roadformer", "voc", "coco"]
 FORMATS: tuple[str, ...] = get_args(Format)
 
 LAYOUTS = {
     "rgbx": "nimprep.export.rgbx:RGBX",
     "roadformer": "nimprep.export.roadformer:ROADFORMER",
     "voc": "nimprep.export.voc:VOC",
+    "coco": "nimprep.export.coco:COCO",
 }
 """Where the layouts of networks are described (`nimprep.export.layout`)."""
 
@@ -49,11 +50,12 @@ def export_frames(
     out : path
         A new or empty folder; with "rerun", a new file. It is there whole or not at all, and
         nothing is written outside it.
-    form : {"png", "rerun", "npz", "rgbx", "roadformer", "voc"}
+    form : {"png", "rerun", "npz", "rgbx", "roadformer", "voc", "coco"}
         GMRP's raw layout (`nimprep.export.png`), one recording (`nimprep.export.rerun`), one
         archive per frame (`nimprep.export.npz`), the folders of CMX, DFormer and Sigma
-        (`nimprep.export.rgbx`) or RoadFormer (`nimprep.export.roadformer`), or PASCAL VOC's
-        (`nimprep.export.voc`); all these leave out frames without a split, which is said.
+        (`nimprep.export.rgbx`) or RoadFormer (`nimprep.export.roadformer`), PASCAL VOC's
+        (`nimprep.export.voc`) or COCO's JSON (`nimprep.export.coco`); all from "rgbx" on leave out
+        frames without a split, which is said.
     frames : str or iterable of str, optional
         Ids, splits and ranges START:END, as `nimprep.export.selection` reads them; None = all.
     progress : callable, optional

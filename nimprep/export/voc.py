@@ -51,7 +51,7 @@ def folders(job: Job, progress: Progress | None) -> Mapping[str, Folder]:
     if "rgb" in job.modalities:
         job.notes.append(
             f"colour is JPEG of quality {QUALITY}, as VOC's loaders ask for, which changes values; "
-            "--format png keeps them"
+            "--format png or coco keeps them"
         )
     return {
         name: made[name] if name in made else as_stored(record_of(job.store, name))

@@ -93,6 +93,7 @@ CALLS = {
         Call(("export", S, NEW, "--format", "rgbx"), "folder"),
         Call(("export", S, NEW, "--format", "roadformer"), "folder"),
         Call(("export", S, NEW, "--format", "voc"), "folder"),
+        Call(("export", S, NEW, "--format", "coco"), "folder"),
         Call(("export", S, NEW, "--format", "rerun"), "file"),
     ],
     "report": [Call(("report", S, NEW), "file")],
