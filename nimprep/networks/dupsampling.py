@@ -7,12 +7,13 @@ reading of it, with an auxiliary head on the third layer, whose loss counts 0.4.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from nimprep.networks.layers import conv, conv_bn_relu, scaled
+from nimprep.networks.losses import IGNORE, cross_entropy
 from nimprep.networks.network import Network
 from nimprep.networks.resnet import ResNet
 
@@ -60,6 +61,20 @@ class DUpsampling(Network):
             conv(middle, middle, 1, bias=True),
             conv(middle, classes * BLOCK**2, 1),
         )
+
+    def losses(
+        self,
+        outputs: Any,
+        labels: Tensor,
+        class_weights: Tensor | None = None,
+        ignore_index: int = IGNORE,
+    ) -> dict[str, Tensor]:
+        """Return the main head's cross-entropy and, times 0.4, the auxiliary head's."""
+        parts = super().losses(outputs, labels, class_weights, ignore_index)
+        if isinstance(outputs, Tensor) or outputs.auxiliary is None:
+            return parts
+        beside = cross_entropy(outputs.auxiliary, labels, class_weights, ignore_index)
+        return {**parts, "auxiliary": AUXILIARY_WEIGHT * beside}
 
     def _outputs(self, *images: Tensor, auxiliary: bool) -> DUpsamplingOutputs:
         encoder = self.encoder

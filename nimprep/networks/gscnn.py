@@ -6,13 +6,20 @@ Source: Takikawa et al., "Gated-SCNN: Gated shape CNNs for semantic segmentation
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from nimprep.networks.edges import canny_edges
+from nimprep.networks.gscnn_losses import (
+    EDGE_WEIGHT,
+    attention_loss,
+    dual_task_loss,
+    edge_loss,
+)
 from nimprep.networks.layers import ImagePooling, conv, conv_bn_relu, resized, scaled
+from nimprep.networks.losses import IGNORE
 from nimprep.networks.network import Network
 from nimprep.networks.resnet import BasicBlock
 from nimprep.networks.wide_resnet import WideResNet38
@@ -139,6 +146,27 @@ class GSCNN(Network):
     @staticmethod
     def _canny(x: Tensor, canny: Tensor | None) -> Tensor:
         return canny_edges(x) if canny is None else canny.to(x.dtype)
+
+    def losses(
+        self,
+        outputs: Any,
+        labels: Tensor,
+        class_weights: Tensor | None = None,
+        ignore_index: int = IGNORE,
+    ) -> dict[str, Tensor]:
+        """Return "segmentation", "edge" (times 20), "attention" and "dual": see `gscnn_losses`."""
+        parts = super().losses(outputs, labels, class_weights, ignore_index)
+        if isinstance(outputs, Tensor) or outputs.edge is None:
+            return parts
+        logits, edge = outputs
+        labels = labels.to(torch.int64)
+        attention = attention_loss(logits, edge, labels, class_weights, ignore_index)
+        return {
+            **parts,
+            "edge": EDGE_WEIGHT * edge_loss(edge, labels, ignore_index),
+            "attention": attention,
+            "dual": dual_task_loss(logits, labels, ignore_index),
+        }
 
     def _outputs(self, *images: Tensor, auxiliary: bool) -> GSCNNOutputs:
         x, canny = images

@@ -6,10 +6,12 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from nimprep.errors import ArrayError
+from nimprep.networks.losses import IGNORE, cross_entropy
 
 SMALLEST = 64
 """Height and width, pixels, that every network takes at least."""
@@ -117,6 +119,44 @@ class Network(nn.Module, ABC):
         if self.auxiliary and self.training:
             return self._sized(images, auxiliary=True)
         return self._sized(images, auxiliary=False).logits
+
+    def loss(
+        self,
+        outputs: Any,
+        labels: Tensor,
+        class_weights: Tensor | None = None,
+        ignore_index: int = IGNORE,
+    ) -> Tensor:
+        """Return what training is to lower, a number: the sum of `losses`.
+
+        Parameters
+        ----------
+        outputs : Tensor or named tuple
+            What `forward` or `outputs` gave; logits alone are taken without auxiliary losses.
+        labels : (B, H, W) integer
+            0 to C - 1, or `ignore_index`. Where no pixel has a label the loss is 0.
+        class_weights : (C,) floating, optional
+        ignore_index : int
+            The label of pixels that do not count.
+
+        Raises
+        ------
+        ArrayError
+            Labels are not of the logits' size, or none of the classes.
+        """
+        parts = self.losses(outputs, labels, class_weights, ignore_index)
+        return torch.stack([*parts.values()]).sum()
+
+    def losses(
+        self,
+        outputs: Any,
+        labels: Tensor,
+        class_weights: Tensor | None = None,
+        ignore_index: int = IGNORE,
+    ) -> dict[str, Tensor]:
+        """Return the parts of `loss` by name, each as it counts; parameters as there."""
+        logits = outputs if isinstance(outputs, Tensor) else outputs.logits
+        return {"segmentation": cross_entropy(logits, labels, class_weights, ignore_index)}
 
     def _sized(self, images: tuple[Tensor, ...], *, auxiliary: bool) -> Any:
         self._check(images)
