@@ -20,6 +20,9 @@ from nimprep.export.places import id_of
 from nimprep.store.reader import Store
 from tests.fakes import write_gmrp, write_nyu_like
 
+# pycocotools 2.0.11 on NumPy 2.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
 PAGE = Path(__file__).parents[2] / "docs" / "exporting.md"
 
 
@@ -65,10 +68,8 @@ def test_pycocotools_gets_every_frames_colours_and_labels(store: Store, out: Pat
 
 def test_the_pages_way_back_gives_the_labels(store: Store, out: Path) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-    code = (
-        code.replace("OUT/annotations", f"{out}/annotations")
-        + "    found[image['frame_id']] = label\n"
-    )
+    code = code.replace("OUT/annotations", f"{out}/annotations")
+    code += "    found[image['frame_id']] = label\n"
     found: dict[str, np.ndarray] = {}
     exec(code, {"found": found})
     assert set(found) == {i for i, split in store.splits.items() if split == "train"}
