@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from nimprep.derive.modalities import Recipe, derive, fill_frame, recipe_from
 from nimprep.frame import Frame
-from nimprep.modality import MODALITIES
+from nimprep.modality import MODALITIES, given_for
 from nimprep.store.frames import to_integers
 from nimprep.store.reader import Store
 
@@ -37,6 +37,7 @@ class Images:
     def __init__(self, store: Store, names: Sequence[str]) -> None:
         self._store = store
         self._made = [name for name in names if name not in store.modalities]
+        self._sources = given_for(self._made) & set(store.modalities)
         # What the store has not is not in its recipe either: there convert's defaults hold.
         recipe = recipe_from(store.attributes["modalities"])
         self._recipe = replace(recipe, hha_ground=Recipe().hha_ground)
@@ -55,6 +56,8 @@ class Images:
             depth_m=frame.depth_m,
             baseline_m=frame.baseline_m,
             cam_to_road=frame.cam_to_road,
+            # A store does not say of which frames the dataset had none: then they are blank.
+            absent=frozenset(name for name in self._sources if not frame[name].any()),
         )
         filled, missing = fill_frame(plain, self._recipe)
         return derive(filled, missing, self._made, self._recipe).images

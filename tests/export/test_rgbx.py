@@ -25,7 +25,7 @@ from tests.fakes import write_gmrp, write_nyu_like
 NETWORKS = ("cmx", "dformer", "sigma")
 ALL = ("rgb", "depth", "hha", "label")
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*(8 bits|not in the store|is empty)")
+pytestmark = pytest.mark.filterwarnings("ignore:.*(8 bits|not in the store|is empty|have no depth)")
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +114,23 @@ def test_what_the_store_lacks_is_made_from_its_depth(tmp_path: Path) -> None:
     loader = Rgbx("cmx", tmp_path / "out", "HHA", single=False)
     for frame in whole:
         np.testing.assert_array_equal(loader.load(frame.id).x, frame["hha"][:, :, ::-1])
+
+
+def test_a_frame_without_depth_has_nothing_made_of_it(tmp_path: Path) -> None:
+    depth = {"files": "depth/{id}.png", "scale_m": 0.0001, "invalid": [0], "missing": "none"}
+    raw, description = write_nyu_like(tmp_path / "raw", depth=depth)
+    (raw / "depth" / "office" / "1.png").unlink()
+    store = nimprep.convert(
+        raw,
+        tmp_path / "s.zarr",
+        description=description,
+        split_by="frame",
+        modalities=["rgb", "depth", "label"],
+    )
+    export_frames(store, tmp_path / "out", "rgbx")
+    loader = Rgbx("sigma", tmp_path / "out", "HHA", single=False)
+    assert not loader.load("office%2F1").x.any()
+    assert loader.load("office%2F0").x.any()
 
 
 def test_frames_without_a_split_are_left_out_and_said(store: Store, tmp_path: Path) -> None:
