@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
@@ -16,8 +17,9 @@ from nimprep.readers.datasets import FLAGS, Dataset, merged
 from nimprep.readers.description import Description, DistortionRule, Size
 from nimprep.readers.description_file import description_from_document
 from nimprep.readers.folder import FolderReader
-from nimprep.readers.recognition import probed
-from nimprep.readers.signs import Listings
+from nimprep.readers.layouts import READERS
+from nimprep.readers.recognition import place_of
+from nimprep.readers.signs import Listings, probed
 from nimprep.readers.tree import check_root
 
 
@@ -194,10 +196,28 @@ def _check_unpacked(
             continue
         comes = dataset.document.get("unpack", {}).get(name)
         step = f"unpack {comes} there" if comes else "compare the names there with it"
+        outer = _outer(root, dataset.name, name, listings)
+        if outer is not None:
+            raise LayoutError(
+                f"{root}: expected {name} files of {dataset.name} like {pattern!r}, found them not "
+                f"there but in {outer}; did you mean {outer}?"
+            )
         raise LayoutError(
             f"{root}: expected {name} files of {dataset.name} like {pattern!r}, found none; "
             f"{step}{_WAYS.get(name, '')}"
         )
+
+
+def _outer(root: Path, name: str, kind: str, listings: Listings) -> Path | None:
+    """Return the folder above that is the dataset and has files of a kind; None = there is none."""
+    layout = READERS[name]
+    for folder in Path(os.path.abspath(root)).parents[:2]:  # noqa: PTH100 - "." has no parents
+        if layout.dataset is None or place_of(layout, folder, listings) is None:
+            continue
+        pattern = layout.dataset.found(folder, listings).pattern(kind)
+        if pattern is not None and listings.find(folder, probed(pattern)) is not None:
+            return folder
+    return None
 
 
 def _with_lists(

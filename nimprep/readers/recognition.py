@@ -9,7 +9,7 @@ from typing import NamedTuple
 from nimprep.errors import LayoutError
 from nimprep.readers.layouts import READERS, Layout, ReaderName
 from nimprep.readers.nearby import nearby_dataset
-from nimprep.readers.signs import Listings
+from nimprep.readers.signs import Listings, probed
 from nimprep.readers.tree import check_root
 
 
@@ -102,23 +102,11 @@ def _lacking(root: Path, listings: Listings) -> Iterator[tuple[int, str]]:
             continue
         for inner in layout.roots:
             lost = [sign for sign in layout.signs if not listings.has(root / inner, sign)]
-            document = layout.dataset.found(root / inner, listings).document["description"]
-            parts = [document.get(kind) for kind in ("depth", "label")]
-            there = sum(
-                listings.has(root / inner, probed(part["files"]))
-                for part in parts
-                if isinstance(part, dict) and "files" in part
-            )
+            form = layout.dataset.found(root / inner, listings)
+            patterns = [form.pattern(kind) for kind in ("depth", "label")]
+            there = sum(listings.has(root / inner, probed(p)) for p in patterns if p is not None)
             if lost and there:
                 first = lost[0] if isinstance(lost[0], str) else lost[0][0]
                 comes = layout.dataset.document.get("unpack", {}).get("rgb")
                 step = f"; unpack {comes} there" if comes else ""
                 yield there, f"for {name} it lacks {first!r}{step}"
-
-
-def probed(pattern: str) -> str:
-    """Return a description's pattern as one of a sign: what spans folders there does so here."""
-    return "/".join(
-        f"**/{part}" if "{id}" in part and not part.startswith("**") else part
-        for part in pattern.split("/")
-    )

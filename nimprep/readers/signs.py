@@ -103,6 +103,14 @@ def expanded(pattern: str) -> list[str]:
     return [each for word in found[1].split(",") for each in expanded(f"{head}{word}{tail}")]
 
 
+def probed(pattern: str) -> str:
+    """Return a description's pattern as one of a sign: what spans folders there does so here."""
+    return "/".join(
+        f"**/{part}" if "{id}" in part and not part.startswith("**") else part
+        for part in pattern.split("/")
+    )
+
+
 @lru_cache(maxsize=512)
 def _fitting_name(part: str) -> re.Pattern[str]:
     """Return the expression that names of one level fit."""

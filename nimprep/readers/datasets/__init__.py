@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nimprep.readers.signs import Listings, Sign
+from nimprep.readers.signs import Listings, Sign, probed
 
 FOLDER = Path(__file__).parent
 
@@ -59,6 +59,12 @@ class Dataset:
         options: Mapping[str, Mapping[str, Any]] = self.document.get("options", {})
         return options
 
+    def pattern(self, kind: str) -> str | None:
+        """Return the pattern of a kind of file, "depth" or "camera"; None = there is none."""
+        said = self.document["description"].get(kind)
+        files = said.get("files") if isinstance(said, Mapping) else said
+        return files if isinstance(files, str) else None
+
     def found(self, root: Path, listings: Listings) -> Dataset:
         """Return the dataset as it is in a folder: with the cases that hold there."""
         document = self.document
@@ -66,6 +72,9 @@ class Dataset:
             there = "there" not in case or listings.has(root, case["there"])
             if there and not ("not_there" in case and listings.has(root, case["not_there"])):
                 document = merged(document, case["change"])
+        for folder, others in document.get("folders", {}).items():
+            described = _moved(document["description"], folder, others, root, listings)
+            document = {**document, "description": described}
         return Dataset(self.name, document)
 
     def choice(self, label_set: str | None) -> Mapping[str, Any]:
@@ -88,6 +97,18 @@ def merged(document: Any, change: Any) -> Any:
         else:
             made[key] = merged(made.get(key), value)
     return made
+
+
+def _moved(
+    document: Any, folder: str, others: Sequence[str], root: Path, listings: Listings
+) -> Any:
+    """Return a description whose patterns of a folder are of that which has such files."""
+    if isinstance(document, Mapping):
+        return {k: _moved(v, folder, others, root, listings) for k, v in document.items()}
+    if not isinstance(document, str) or not document.startswith(f"{folder}/"):
+        return document
+    places = (place + document[len(folder) :] for place in (folder, *others))
+    return next((p for p in places if listings.find(root, probed(p)) is not None), document)
 
 
 def _label_set(name: str) -> Mapping[str, Any]:
