@@ -66,3 +66,7 @@ class FindingWarning(UserWarning):
 
     Unlike with a `DoubtWarning`, nothing need be read wrongly.
     """
+
+
+class DepthLossWarning(DoubtWarning):
+    """Depth of a data set is none in its store, whose unit cannot say it."""

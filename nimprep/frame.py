@@ -208,7 +208,7 @@ class Plane(NamedTuple):
     """What is said of a modality of one number per pixel: number = stored / steps."""
 
     dtype: str
-    steps: int
+    steps: float
     units: str
     none: int
 

@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.depth_unit import steps_per_metre
+
 Values = Literal["colors", "levels", "vectors", "numbers", "measures", "classes"]
 """What a pixel holds::
 
@@ -92,10 +94,11 @@ class Modality:
         Of the stored integers.
     dtypes : tuple of str
         What else `dtype` can be in a store (see `as_dtype`); empty = nothing.
-    steps : int
+    steps : float
         Stored integers are the values times this, rounded.
     scale, offset : float
-        Of measures, which have them in place of steps.
+        Of measures, which have them in place of steps. A `scale` of numbers is that which `steps`
+        are the inverse of, where they are no whole number.
     fill : int
         What is stored where there is none, and in the padding.
     has_none : bool
@@ -126,6 +129,11 @@ class Modality:
         None = it comes from the source.
     on_request : bool
         Stored only where it is asked for by name.
+    own_unit : bool
+        Whether each store chooses its `steps`: see `as_unit`.
+    rounded : bool
+        Whether a store's unit is coarser than what it was made of, and what is derived from it was
+        made of that.
     """
 
     name: str
@@ -136,7 +144,7 @@ class Modality:
     channels: tuple[str, ...] = ()
     dtype: str = "uint8"
     dtypes: tuple[str, ...] = ()
-    steps: int = 1
+    steps: float = 1
     scale: float = 1
     offset: float = 0
     fill: int = 0
@@ -154,6 +162,22 @@ class Modality:
     attribute: str = ""
     derived: Derivation | None = None
     on_request: bool = False
+    own_unit: bool = False
+    rounded: bool = False
+
+    @property
+    def step(self) -> float:
+        """What one stored integer counts, in `units`."""
+        return self.scale if self.scale != 1 else 1 / self.steps
+
+    @property
+    def most(self) -> float:
+        """The greatest number that can be stored, in `units`."""
+        return self.number_of(int(np.iinfo(self.dtype).max))
+
+    def number_of(self, stored: float) -> float:
+        """Return the number that an integer says, or a mean of some, in `units`."""
+        return stored * self.scale if self.scale != 1 else stored / self.steps
 
     @property
     def channel_count(self) -> int:
@@ -189,6 +213,27 @@ class Modality:
             return self
         return replace(self, dtype=dtype, steps=int(np.iinfo(dtype).max))
 
+    def as_unit(self, unit: float | None, *, rounded: bool = False) -> Modality:
+        """Return the modality of a store whose integers count this; itself if none chooses that.
+
+        Parameters
+        ----------
+        unit : float, optional
+            In `units`; None = as the table has it.
+        rounded : bool
+            See `Modality`.
+        """
+        if not self.own_unit or unit is None:
+            return self
+        steps = steps_per_metre(unit)
+        scale = 1.0 if isinstance(steps, int) else unit
+        return replace(self, steps=steps, scale=scale, rounded=rounded)
+
+    @property
+    def has_other_unit(self) -> bool:
+        """Whether this is a store's that does not count in the table's unit."""
+        return self.own_unit and self.step != MODALITIES[self.name].step
+
 
 MODALITIES: dict[str, Modality] = {
     modality.name: modality
@@ -218,6 +263,7 @@ MODALITIES: dict[str, Modality] = {
             about="depth, near is yellow, far is dark, grey has none",
             fillable=True,
             attribute="depth_m",
+            own_unit=True,
         ),
         Modality(
             name="normal",

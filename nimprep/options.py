@@ -79,6 +79,8 @@ class Option:
             return None
         if int in self.types:
             return int(value) if isinstance(value, Integral) else None
+        if str in self.types and isinstance(value, str):
+            return value or None
         if float in self.types:
             finite = isinstance(value, Real) and isfinite(value)
             return float(value) if finite else None

@@ -21,7 +21,8 @@ import numpy as np
 from numcodecs import blosc
 
 import nimprep
-from nimprep.store.frames import depth_to_millimetres, normals_to_integers
+from nimprep.modality import MODALITIES
+from nimprep.store.frames import normals_to_integers, to_integers
 from nimprep.synthetic import write_synthetic
 
 CODECS = [
@@ -72,7 +73,7 @@ def images(kind: str, paths: dict[str, Path]) -> dict[str, np.ndarray]:
     normal = nimprep.estimate_normals(depth_m, camera)
     return {
         "rgb": np.ascontiguousarray(rgb),
-        "depth": depth_to_millimetres(depth_m),
+        "depth": to_integers(MODALITIES["depth"], depth_m),
         "label": label,
         "normal": normals_to_integers(normal, "int8"),
         "hha": nimprep.encode_hha(depth_m, camera),

@@ -139,6 +139,9 @@ def _option(said: Option) -> Callable[[Command], Command]:
         int: click.INT if said.least is None else click.IntRange(*bounds),
     }
     kind = click.Choice(said.choices) if said.choices else None
+    if float in said.types and str in said.types:
+        # Numbers or words: whose option it is says which.
+        kinds = {}
     return click.option(
         f"--{said.flag or name}",
         said.name,

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Unpack
 
 from nimprep.conversion.bad_frames import way_out_said
-from nimprep.conversion.compatibility import check_frames, options_like, padded_size
-from nimprep.conversion.doubted import warn_of_doubts
+from nimprep.conversion.compatibility import check_frames, depth_unit, options_like, padded_size
+from nimprep.conversion.doubted import warn_of_doubts, warn_of_loss
 from nimprep.conversion.growth import grow, grown_splits
 from nimprep.conversion.journal import kept_journal
 from nimprep.conversion.options import AppendKeywords
@@ -113,7 +113,8 @@ def append_frames(
             new = SubsetReader(reader, _new_ids(old, reader, options))
             done = Appended(old, (), len(reader.ids) - len(new.ids), ())
             if new.ids:
-                base = Base(len(old), *padded_size(old), old.about.source["digest"])
+                digest, unit = old.about.source["digest"], depth_unit(old)
+                base = Base(len(old), *padded_size(old), digest, unit)
                 plan = make_plan(source, new, converting, workspace, start, base)
                 records = encode(plan, start)
                 ids = tuple(facts.id for facts in records.facts)
@@ -123,6 +124,8 @@ def append_frames(
     lost = [f"the store has no {', '.join(left)}: these are not appended"] if left else []
     for note in (*reader.info.notes, *lost):
         warnings.warn(f"{source}: {note}", stacklevel=2)
+    if done.store.about.depth_lost != old.about.depth_lost:
+        warn_of_loss(done.store.path, done.store.about)
     warn_of_doubts(source, done.store.about, known)
     return done
 

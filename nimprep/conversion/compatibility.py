@@ -8,6 +8,7 @@ from typing import Any
 
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import describe_modalities
+from nimprep.depth_unit import MILLIMETRE, ChosenUnit, counts_in, unit_words
 from nimprep.derive.recipe import RecipeOptions, recipe_from
 from nimprep.errors import DecodeError, LayoutError, StoreError
 from nimprep.frame import LabelClass
@@ -69,6 +70,12 @@ def normal_dtype(store: Store) -> str:
     return held.dtype
 
 
+def depth_unit(store: Store) -> ChosenUnit:
+    """Return the unit of a store's depth; a millimetre where it has none."""
+    held = store.stored.get("depth", MODALITIES["depth"])
+    return ChosenUnit(held.step, held.rounded)
+
+
 def shard_length(store: Store) -> int:
     """Return a store's frames per shard.
 
@@ -114,6 +121,7 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
             f"{named(reader.info.classes)}; convert them into a store of their own"
         )
     _check_planes(store, reader)
+    _check_steps(store, reader)
     crop = Margins(**store.about.crop)
     height, width = padded_size(store)
     for frame_id in ids:
@@ -128,6 +136,20 @@ def check_frames(store: Store, reader: Reader, ids: Sequence[str]) -> None:
                 f"{shape[1]}x{shape[0]} in frame {frame_id!r}; convert everything anew, or into a "
                 "store of its own and merge the two"
             )
+
+
+def _check_steps(store: Store, reader: Reader) -> None:
+    """Raise `LayoutError` where a dataset's depth is finer than that of a store that is exact."""
+    unit = depth_unit(store)
+    exact = unit.unit_m <= MILLIMETRE or unit.rounded or counts_in(reader.info.depth, unit.unit_m)
+    if exact or not reader.info.has_depth:
+        return
+    step_m = reader.info.depth.step_m
+    found = "finer ones" if step_m is None else unit_words(step_m)
+    raise LayoutError(
+        f"{reader.root}: expected depth in steps of {unit_words(unit.unit_m)}, which the store's "
+        f"depth counts in, found {found}; convert it into a store of its own"
+    )
 
 
 def _check_planes(store: Store, reader: Reader) -> None:
@@ -163,7 +185,9 @@ def check_alike(stores: Sequence[Store]) -> None:
         check_changeable(store.about.format_version, str(store.path))
         a, b = first.about, store.about
         modalities = a.modalities.keys() | b.modalities.keys()
+        units = [unit_words(depth_unit(one).unit_m) for one in (first, store)]
         found: list[tuple[str, Any, Any]] = [
+            ("a depth unit of", units[0], units[1]),
             ("modalities", ", ".join(first.modalities), ", ".join(store.modalities)),
             ("classes", named(first.classes), named(store.classes)),
             ("colours", [c.color for c in first.classes], [c.color for c in store.classes]),
@@ -172,7 +196,8 @@ def check_alike(stores: Sequence[Store]) -> None:
         ]
         for what, wanted, there in found:
             if wanted != there:
+                anew = f" with --depth-unit {depth_unit(first).unit_m:.10g}"
                 raise StoreError(
                     f"{store.path}: expected {what} {wanted} as in {first.path}, found {there}; "
-                    "convert one of the two anew"
+                    f"convert one of the two anew{anew if units[0] != units[1] else ''}"
                 )

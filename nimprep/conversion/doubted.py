@@ -19,18 +19,19 @@ from nimprep.doubts.findings import find
 from nimprep.doubts.judge import NAMED, judge, sentence
 from nimprep.doubts.labels import LABEL_KINDS, label_doubts
 from nimprep.doubts.surfaces import LEAST_IMAGE, level_signs, normal_signs
-from nimprep.errors import DoubtWarning, FindingWarning
+from nimprep.errors import DepthLossWarning, DoubtWarning, FindingWarning
 from nimprep.frame import Frame, LabelClass
 from nimprep.modality import MODALITIES
 from nimprep.readers.crop import Margins
 from nimprep.splits import SplitName
 from nimprep.store.attributes import StoreAttributes
-from nimprep.store.frames import MAX_DEPTH_M
+from nimprep.store.depth_loss import loss_text
 from nimprep.store.table_specs import CLASS_PIXELS
 
 Doubts = list[dict[str, Any]]
 
 _ROADS = 64
+_MOST_M = MODALITIES["depth"].most
 
 
 def shows_road(frame_id: str, frames: int) -> bool:
@@ -41,7 +42,9 @@ def shows_road(frame_id: str, frames: int) -> bool:
     return zlib.crc32(frame_id.encode()) % max(1, frames // _ROADS) == 0
 
 
-def frame_signs(frame: Frame, margins: Margins | None, *, road: bool = True) -> dict[str, float]:
+def frame_signs(
+    frame: Frame, margins: Margins | None, *, road: bool = True, most_m: float = _MOST_M
+) -> dict[str, float]:
     """Return the signs of a frame as it was read: the reader's, its depth's and its camera's.
 
     Parameters
@@ -50,10 +53,12 @@ def frame_signs(frame: Frame, margins: Margins | None, *, road: bool = True) -> 
         What was cut off it; the camera is judged by the whole image.
     road : bool
         Whether to look for the road, and how high the camera is above it.
+    most_m : float
+        The farthest depth that the store can hold, metres; what is farther is a sign.
     """
     camera, signs = frame.camera, dict(frame.signs)
     if frame.depth_m is not None:
-        signs |= depth_signs(frame.depth_m, camera, MAX_DEPTH_M, road=road)
+        signs |= depth_signs(frame.depth_m, camera, most_m, road=road)
     return signs | camera_signs(camera if margins is None else _whole(camera, margins))
 
 
@@ -104,6 +109,7 @@ def doubts_of(
     fixed_splits: Mapping[SplitName, Sequence[str]],
     *,
     filled: bool,
+    most_m: float = _MOST_M,
 ) -> Doubts:
     """Return what is doubted of frames that were encoded, as a store's attributes hold it.
 
@@ -115,9 +121,11 @@ def doubts_of(
         As the attributes hold it: see `doubts_of_labels`.
     filled : bool
         Whether holes in depth are filled.
+    most_m : float
+        The farthest depth that the store can hold, metres.
     """
     frames = [(frame.id, frame.signs) for frame in facts]
-    found = [d.to_json() for d in judge(frames, filled=filled, most_m=MAX_DEPTH_M)]
+    found = [d.to_json() for d in judge(frames, filled=filled, most_m=most_m)]
     pixels = np.array([frame.class_pixels for frame in facts])
     return found + doubts_of_labels([i for i, _ in frames], pixels, classes, fixed_splits)
 
@@ -185,3 +193,10 @@ def warn_of_doubts(
     for found, before, category in kinds:
         for doubt in (d for d in found if d not in before):
             warnings.warn(f"{where}: {sentence(doubt)}", category, stacklevel=3)
+
+
+def warn_of_loss(where: object, about: StoreAttributes) -> None:
+    """Say as a warning how much depth a store has not that its source had."""
+    if about.depth_lost is not None:
+        said = f"{where}: {loss_text(about.depth_lost)}"
+        warnings.warn(said, DepthLossWarning, stacklevel=3)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +21,12 @@ from nimprep.derive.recipe import Recipe
 from nimprep.doubts.surfaces import depth_counts_sign
 from nimprep.errors import ArrayError, DecodeError, NimprepError
 from nimprep.frame import Frame
-from nimprep.modality import MODALITIES, given_for
+from nimprep.modality import MODALITIES, Modality, given_for
 from nimprep.parallel import available_cores, in_order
 from nimprep.readers.base import Reader
 from nimprep.store.checksums import chunk_checksum
-from nimprep.store.frames import depth_from_millimetres, depth_to_millimetres, to_integers
+from nimprep.store.depth_loss import lost_depth
+from nimprep.store.frames import depth_to_integers, from_integers, to_integers
 from nimprep.store.shards import encode_chunk
 from nimprep.store.statistics import channel_sums, class_pixels
 from nimprep.store.writer import StoreLayout, StoreWriter
@@ -39,7 +41,7 @@ class EncodedFrame:
     facts : FrameFacts
     chunks : dict of modality to bytes
     depth_counts : (65536,) int64
-        Pixels per depth in millimetres.
+        Pixels per depth in the store's unit.
     """
 
     facts: FrameFacts
@@ -152,8 +154,8 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     frame = reader.read(frame_id, wanted)
     try:
         road = shows_road(frame_id, len(job.states))
-        stored, gravity, signs = _stored_images(frame, layout, recipe, road=road)
-        chunks = _chunks(frame, stored, layout)
+        stored = _stored_images(frame, layout, recipe, road=road)
+        chunks = _chunks(frame, stored.images, layout)
     except ArrayError as error:
         raise DecodeError(f"frame {frame_id!r}: {error}") from error
     digest = frame_digest(reader, frame_id)
@@ -167,13 +169,15 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     from nimprep.kernels.sums import count_values
 
     counts = np.zeros(DEPTHS, dtype=np.int64)
-    if "depth" in stored:
-        count_values(stored["depth"], counts)
-    signs |= frame_signs(frame, job.margins, road=road) | depth_counts_sign(counts)
-    frame = replace(frame, signs=signs)
-    sums = channel_sums({n: stored[n] for n in layout.modalities}, layout.planes)
-    pixels = class_pixels(stored.get("label"), [entry.id for entry in layout.classes])
-    return EncodedFrame(_facts(frame, gravity, sums, pixels, chunks, digest), chunks, counts)
+    if "depth" in stored.images:
+        count_values(stored.images["depth"], counts)
+    most_m = math.inf if reader.info.depth.certain else layout.modality("depth").most
+    signs = stored.signs | frame_signs(frame, job.margins, road=road, most_m=most_m)
+    frame = replace(frame, signs=signs | depth_counts_sign(counts))
+    sums = channel_sums({n: stored.images[n] for n in layout.modalities}, layout.planes)
+    pixels = class_pixels(stored.images.get("label"), [entry.id for entry in layout.classes])
+    facts = _facts(frame, stored.gravity, sums, pixels, chunks, digest)
+    return EncodedFrame(replace(facts, depth_lost=stored.depth_lost), chunks, counts)
 
 
 def _facts(
@@ -201,10 +205,28 @@ def _facts(
     )
 
 
-def _stored_images(
-    frame: Frame, layout: StoreLayout, recipe: Recipe, *, road: bool
-) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.float64], dict[str, float]]:
-    """Return the frame's images as the store holds them, the direction of gravity, and signs.
+class _Stored(NamedTuple):
+    """What a store holds of a frame.
+
+    Attributes
+    ----------
+    images : dict of modality to array
+    gravity : (3,) float64
+        Its direction.
+    signs : dict of str to float
+        Of what was derived.
+    depth_lost : dict of str to float, optional
+        See `FrameFacts`.
+    """
+
+    images: dict[str, npt.NDArray[Any]]
+    gravity: npt.NDArray[np.float64]
+    signs: dict[str, float]
+    depth_lost: dict[str, float] | None
+
+
+def _stored_images(frame: Frame, layout: StoreLayout, recipe: Recipe, *, road: bool) -> _Stored:
+    """Return what a store holds of a frame.
 
     Parameters
     ----------
@@ -212,19 +234,21 @@ def _stored_images(
         Whether to look for the road, and how noisy its normals are.
     """
     given = {n: frame.image(n) for n, m in MODALITIES.items() if m.derived is None}
+    missing, lost, depth = None, None, layout.modality("depth")
+    measured = given.pop("depth")
     stored = {n: to_integers(layout.modality(n), i) for n, i in given.items() if i is not None}
     stored |= _stored_planes(frame, layout)
-    missing = None
-    if "depth" in stored:
-        # From here on depth is what the store says it is: what is derived can be made again.
-        frame, missing = fill_frame(_with_depth(frame, stored["depth"]), recipe)
+    if measured is not None:
+        stored["depth"], pixels = depth_to_integers(depth, measured)
+        lost = None if pixels == 0 else lost_depth(depth, measured, stored["depth"])
+        frame, missing = fill_frame(_with_depth(frame, depth, stored["depth"]), recipe)
         if recipe.store_filled and frame.depth_m is not None:
-            stored["depth"] = depth_to_millimetres(frame.depth_m)
-            frame = _with_depth(frame, stored["depth"])
+            stored["depth"] = depth_to_integers(depth, frame.depth_m)[0]
+            frame = _with_depth(frame, depth, stored["depth"])
     derived = derive(frame, missing, layout.modalities, recipe)
     stored |= {n: to_integers(layout.modality(n), i) for n, i in derived.images.items()}
     signs = derived_signs(frame, stored, derived.signs, recipe, road=road)
-    return stored, derived.gravity, signs
+    return _Stored(stored, derived.gravity, signs, lost)
 
 
 def _stored_planes(frame: Frame, layout: StoreLayout) -> dict[str, npt.NDArray[Any]]:
@@ -242,13 +266,21 @@ def _stored_planes(frame: Frame, layout: StoreLayout) -> dict[str, npt.NDArray[A
     return stored
 
 
-def _with_depth(frame: Frame, millimetres: npt.NDArray[np.uint16]) -> Frame:
-    """Return the frame with its depth as the store holds it: some, unless the dataset has none."""
-    if not millimetres.any() and "depth" not in frame.absent:
+def _with_depth(frame: Frame, depth: Modality, stored: npt.NDArray[np.uint16]) -> Frame:
+    """Return the frame with the depth that is derived from: some, unless the dataset has none.
+
+    It is what the store says, so that what is derived can be made again. Where the store's unit
+    is coarser than the source's numbers, that would spoil it: there it is depth as it was read,
+    where the store has some.
+    """
+    if not stored.any() and "depth" not in frame.absent:
         raise ArrayError(
-            "expected depth of 0.5 mm to 65.535 m somewhere, found none; check --depth-scale"
+            f"expected depth of {1000 * depth.step / 2:g} mm to {depth.most:.6g} m somewhere, "
+            "found none; check --depth-scale and --depth-unit"
         )
-    return replace(frame, depth_m=depth_from_millimetres(millimetres))
+    if depth.rounded and frame.depth_m is not None:
+        return replace(frame, depth_m=np.where(stored > 0, frame.depth_m, np.float32(0)))
+    return replace(frame, depth_m=from_integers(depth, stored))
 
 
 def _chunks(

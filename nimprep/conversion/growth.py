@@ -26,6 +26,7 @@ from nimprep.parallel import Progress, available_cores
 from nimprep.readers import Reader
 from nimprep.splits import SPLITS, extend_splits
 from nimprep.store.checksums import MEND
+from nimprep.store.depth_loss import joined_loss
 from nimprep.store.extras import carry_over
 from nimprep.store.reader import Store
 from nimprep.store.statistics import class_pixels_of
@@ -54,12 +55,13 @@ def grow(
     if "depth" in old.modalities:
         done = start("reading the depth there was", len(old))
         counts = counts + depth_counts(old, plan.job.options.workers or available_cores(), done)
-    new = described(plan, records)
+    new, depth = described(plan, records), layout.modality("depth")
     news = {*(f.id for f in records.facts), *(f.id for f in records.skipped)}
     skipped = [frame for frame in old.about.skipped if frame["id"] not in news]
     about = joined_attributes(
         [(replace(old.about, skipped=skipped), len(old)), (new, len(records.facts))],
-        depth_percentiles_m=depth_percentiles(counts) if "depth" in old.modalities else None,
+        depth_percentiles_m=depth_percentiles(counts, depth) if "depth" in old.modalities else None,
+        depth_lost=joined_loss((old.about.depth_lost, new.depth_lost), int(counts[1:].sum())),
     )
     joined = _tables(old, plan.reader, records.facts, checksums)
     writer.finish(joined, with_doubts_of_labels(about, joined, old.classes))

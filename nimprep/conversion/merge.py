@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.conversion.compatibility import check_alike, normal_dtype, padded_size, shard_length
+from nimprep.conversion.compatibility import (
+    check_alike,
+    depth_unit,
+    normal_dtype,
+    padded_size,
+    shard_length,
+)
 from nimprep.conversion.doubted import with_doubts_of_labels
 from nimprep.conversion.plan import warn_of_padding
 from nimprep.conversion.provenance import joined_attributes
@@ -29,6 +35,7 @@ from nimprep.conversion.workspace import (
 from nimprep.errors import SplitError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.store.attributes import Split, StoreAttributes
+from nimprep.store.depth_loss import joined_loss
 from nimprep.store.frame_tables import is_name
 from nimprep.store.reader import Store, open_store
 from nimprep.store.spec import PRESETS
@@ -186,6 +193,7 @@ def _layout(stores: Sequence[Store]) -> StoreLayout:
         codec=codec,
         shard_length=shard_length(first),
         planes=first.planes,
+        depth_unit=depth_unit(first),
     )
 
 
@@ -194,14 +202,16 @@ def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) ->
     with ThreadPoolExecutor(workers, thread_name_prefix="nimprep") as pool:
         chunks = [StoreChunks(store, writer.layout, pool) for store in merge.stores]
         checksums = join_shards(writer, chunks, start("merging", frames))
-    percentiles = None
+    percentiles, known = None, 0
     if "depth" in writer.layout.modalities:
         done = start("reading depth", frames)
-        counts = sum(depth_counts(store, workers, done) for store in merge.stores)
-        percentiles = depth_percentiles(np.asarray(counts))
+        counts = np.asarray(sum(depth_counts(store, workers, done) for store in merge.stores))
+        percentiles = depth_percentiles(counts, writer.layout.modality("depth"))
+        known = int(counts[1:].sum())
     pixels = np.concatenate([class_pixels_of(store) for store in merge.stores])
     tables = {**_tables(merge), CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
-    about = _attributes(merge, percentiles)
+    lost = joined_loss((store.about.depth_lost for store in merge.stores), known)
+    about = replace(_attributes(merge, percentiles), depth_lost=lost)
     writer.finish(tables, with_doubts_of_labels(about, tables, writer.layout.classes))
 
 

@@ -160,6 +160,7 @@ class ConvertKeywords(RunKeywords, ReaderKeywords, total=False):
     hha_ground: Ground | None
     fill: Fill
     store_filled: bool
+    depth_unit: float | str
     crop: Literal["auto"] | tuple[int, int, int, int] | None
     labels: bool
     modalities: Sequence[str] | None

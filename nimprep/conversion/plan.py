@@ -14,6 +14,7 @@ from nimprep.conversion.journal import Journal, option_values, units_of
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.records import Records, depth_percentiles, source_digest
 from nimprep.conversion.sources import FileState
+from nimprep.depth_unit import MILLIMETRES, ChosenUnit, chosen_unit, depth_unit_from
 from nimprep.derive.recipe import Recipe
 from nimprep.doubts.surfaces import noise_of
 from nimprep.errors import ArrayError, LayoutError, OptionError, StoreError
@@ -25,7 +26,8 @@ from nimprep.readers.given_splits import files_of_frames, given_splits
 from nimprep.schema import load_schema, schema_problems
 from nimprep.splits import SPLITS, SplitName, SplitRule, assign_splits
 from nimprep.store.attributes import StoreAttributes
-from nimprep.store.spec import FORMAT_VERSION
+from nimprep.store.depth_loss import joined_loss
+from nimprep.store.spec import format_of
 from nimprep.store.storage import Storage
 from nimprep.store.writer import StoreLayout, StoreWriter
 
@@ -42,12 +44,15 @@ class Base:
         Of its padded images.
     digest : str
         Of its sources.
+    depth_unit : ChosenUnit
+        In which it has its depth.
     """
 
     frames: int
     height: int
     width: int
     digest: str
+    depth_unit: ChosenUnit = MILLIMETRES
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,7 @@ class Job:
             "files": self.states,
             "base": None if self.base is None else asdict(self.base),
             "planes": {plane.name: definition_of(plane) for plane in self.layout.planes},
+            "depth_unit": asdict(self.layout.depth_unit),
         }
 
 
@@ -246,6 +252,7 @@ def plan_layout(reader: Reader, options: ConvertOptions, *, alone: bool = True) 
         codec=options.codec,
         shard_length=options.shard_length,
         planes=tuple(plane for name, plane in _planes(reader).items() if name in modalities),
+        depth_unit=chosen_unit(depth_unit_from(options.depth_unit), reader.info.depth),
     )
 
 
@@ -306,9 +313,16 @@ def describe_modalities(modalities: Iterable[Modality], recipe: Recipe) -> dict[
     return {
         m.name: {"method": "source", "parameters": {}, "kind": "plane", **definition_of(m)}
         if m.values == "measures"
-        else {**recipe.describe(m.name), **({"dtype": m.dtype} if m.dtypes else {})}
+        else {**recipe.describe(m.name), **_as_held(m)}
         for m in modalities
     }
+
+
+def _as_held(modality: Modality) -> dict[str, Any]:
+    """Return what is said of how a store holds a modality, where it can be otherwise."""
+    unit = {"unit_m": modality.step} if modality.has_other_unit else {}
+    rounded = {"rounded": True} if modality.rounded else {}
+    return {**({"dtype": modality.dtype} if modality.dtypes else {}), **unit, **rounded}
 
 
 def describe(plan: Plan, ids: Sequence[str]) -> dict[str, Any]:
@@ -324,7 +338,7 @@ def describe(plan: Plan, ids: Sequence[str]) -> dict[str, Any]:
     fixed = fixed_by_split(reader, ids)
     margins = reader.margins if isinstance(reader, CroppedReader) else Margins(0, 0, 0, 0)
     return {
-        "format_version": FORMAT_VERSION,
+        "format_version": format_of(map(layout.modality, layout.modalities)),
         "tool_version": __version__,
         "dataset": reader.info.name,
         **({"references": [reader.info.reference.to_json()]} if reader.info.reference else {}),
@@ -344,13 +358,15 @@ def described(plan: Plan, records: Records) -> StoreAttributes:
     facts = records.facts
     about = describe(plan, [frame.id for frame in facts])
     filled, fixed = plan.job.options.fill != "none", about.get("fixed_splits", {})
+    depth, counts = plan.job.layout.modality("depth"), records.depth_counts
     return StoreAttributes(
         **about,
         skipped=[asdict(frame) for frame in records.skipped],
-        doubts=doubts_of(facts, plan.job.layout.classes, fixed, filled=filled),
+        doubts=doubts_of(facts, plan.job.layout.classes, fixed, filled=filled, most_m=depth.most),
         findings=findings_of(facts),
         normal_noise=noise_of([frame.signs for frame in facts]),
-        depth_percentiles_m=depth_percentiles(records.depth_counts),
+        depth_lost=joined_loss((frame.depth_lost for frame in facts), int(counts[1:].sum())),
+        depth_percentiles_m=depth_percentiles(counts, depth),
         source={"digest": source_digest(facts)},
         complete=True,
     )

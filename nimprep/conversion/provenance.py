@@ -20,7 +20,7 @@ _ORIGINS = ("nominal", "user", "file")
 
 _LAST = (
     *("references", "fixed_splits", "frame_metadata", "skipped", "doubts", "findings"),
-    *("normal_noise", "complete", "tables", "digest"),
+    *("normal_noise", "depth_lost", "complete", "tables", "digest"),
 )
 """What a store's `nimprep` object ends with where frames joined it."""
 

@@ -14,10 +14,11 @@ import google_crc32c
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.modality import Modality
 from nimprep.splits import SPLIT_CODES
 
 DEPTHS = 1 << 16
-"""Values a stored depth, millimetres, can have."""
+"""Values a stored depth can have."""
 
 
 def seal(document: dict[str, Any]) -> bytes:
@@ -68,6 +69,8 @@ class FrameFacts:
         SHA-256 of the frame's source files.
     signs : dict of str to float
         What may tell that it was read wrongly: see `nimprep.doubts`.
+    depth_lost : dict of str to float, optional
+        What the store has not of its depth: see `nimprep.store.depth_loss`, without the share.
     """
 
     id: str
@@ -82,6 +85,7 @@ class FrameFacts:
     chunk_crc32c: dict[str, int]
     digest: str
     signs: dict[str, float]
+    depth_lost: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ class UnitRecord:
         Those in the shards, in order.
     skipped : tuple of SkippedFrame
     depth_counts : (65536,) int64
-        Pixels per depth in millimetres.
+        Pixels per depth in the store's unit.
     indices : dict of modality to int
         What each shard's index, and so the shard, ends with.
     """
@@ -170,7 +174,7 @@ class Records:
     units : tuple of UnitRecord
         In order, without their histograms.
     depth_counts : (65536,) int64
-        Pixels per depth in millimetres, of all units.
+        Pixels per depth in the store's unit, of all units of work.
     """
 
     units: tuple[UnitRecord, ...]
@@ -216,8 +220,8 @@ def source_digest(facts: Iterable[FrameFacts]) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def depth_percentiles(counts: npt.NDArray[np.int64]) -> dict[str, float] | None:
-    """Return the 5th, 50th and 95th percentile, metres, of a histogram over millimetres.
+def depth_percentiles(counts: npt.NDArray[np.int64], depth: Modality) -> dict[str, float] | None:
+    """Return the 5th, 50th and 95th percentile, metres, of a histogram over a store's integers.
 
     Each is the smallest depth that this share of the pixels with depth does not exceed.
     """
@@ -225,4 +229,5 @@ def depth_percentiles(counts: npt.NDArray[np.int64]) -> dict[str, float] | None:
     if below[-1] == 0:
         return None
     ranks = {str(p): -(-p * int(below[-1]) // 100) for p in (5, 50, 95)}
-    return {p: (int(np.searchsorted(below, rank)) + 1) / 1000 for p, rank in ranks.items()}
+    integers = {p: int(np.searchsorted(below, rank)) + 1 for p, rank in ranks.items()}
+    return {p: depth.number_of(integer) for p, integer in integers.items()}

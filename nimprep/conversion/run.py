@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Unpack
 
 from nimprep.conversion.bad_frames import way_out_said
-from nimprep.conversion.doubted import warn_of_doubts
+from nimprep.conversion.doubted import warn_of_doubts, warn_of_loss
 from nimprep.conversion.encode import encode_units
 from nimprep.conversion.gaps import (
     foreign,
@@ -120,6 +120,7 @@ def convert(
     for note in reader.info.notes:
         warnings.warn(f"{source}: {note}", stacklevel=2)
     store = open_store(storage)
+    warn_of_loss(source, store.about)
     warn_of_doubts(source, store.about)
     return store
 
@@ -151,7 +152,8 @@ def make_plan(
         reader = CroppedReader(reader, margins)
     layout = plan_layout(reader, options, alone=base is None)
     if base is not None:
-        layout = replace(layout, height=base.height, width=base.width)
+        held = replace(layout, depth_unit=base.depth_unit)
+        layout = replace(held, height=base.height, width=base.width)
     job = Job(source, options, margins, layout, states, workspace.store, base)
     if kept is not None:
         _forget_undone(kept, job)

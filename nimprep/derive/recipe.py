@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.depth_unit import MILLIMETRE, depth_unit_from
 from nimprep.derive.methods import FILLS as FILLS
 from nimprep.derive.methods import Fill, Ground, Method, check_method
 from nimprep.errors import ArrayError
@@ -44,9 +45,16 @@ class RecipeOptions(Options):
     )
     fill: Fill = option("none", "Fill holes in depth before normals and HHA are made from it.")
     store_filled: bool = option(False, "Store the filled depth, not the raw one.")
+    depth_unit: float | str = option(
+        "auto",
+        "Unit that depth is stored in: mm to 65.535 m, cm to 655.35 m, or so many metres, as a "
+        "number or a fraction (1/256); auto: mm, or SRC's own step or what it says of its range.",
+        metavar="auto|mm|cm|METRES",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "depth_unit", depth_unit_from(self.depth_unit))
         check_method(self.normals, self.sign_filter, self.noise)
         if self.store_filled and self.fill == "none":
             raise ArrayError("store_filled: expected a way to fill, found 'none'; give fill")
@@ -97,6 +105,7 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
         hha_ground=modalities.get("hha", {}).get("parameters", {}).get("ground", "lowest"),
         fill=derived[0].get("fill", "none") if derived else stored.get("fill", "none"),
         store_filled="fill" in stored,
+        depth_unit=modalities.get("depth", {}).get("unit_m", MILLIMETRE),
         virtual_baseline_m=_number(
             "virtual_baseline_m",
             next(

@@ -299,8 +299,8 @@ def _beyond_range(frames: Sequence[tuple[str, Signs]], most_m: float) -> list[Do
     if not shares or (share := statistics.fmean(s for _, s in shares)) < BEYOND_RANGE:
         return []
     text = (
-        f"{share:.0%} of the depth lies beyond {most_m:g} m, the farthest that a store holds, and "
-        'is none there; where a value means none, name it under "invalid", else check the unit '
-        "(--depth-scale)"
+        f"{share:.0%} of the depth lies beyond {most_m:.6g} m, the farthest that the store holds, "
+        'and is none there; where a value means none, name it under "invalid", else check the unit '
+        "(--depth-scale), or store depth in a coarser one (--depth-unit)"
     )
     return [Doubt.of("beyond-range", text, [i for i, s in shares if s > 0])]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from nimprep.modality import Modality
 
-FOLDERS = {("depth", 1000): "depth_u16"}
+FOLDERS: dict[tuple[str, float], str] = {("depth", 1000): "depth_u16"}
 """Where a folder is not called as its modality, by that and its steps: GMRP's own, millimetres."""
 
 FILE = "encodings.json"
@@ -51,14 +51,14 @@ def describe_encoding(modality: Modality) -> dict[str, Any]:
     """Return a modality's entry in encodings.json."""
     measured = modality.values == "measures"
     subtract = _subtract(modality)
-    scale = modality.scale if measured else 1 / modality.steps
+    scale = modality.step
     offset = modality.offset if measured else 0
     said = f"png - {subtract}" if subtract else "png"
     if measured:
         times = f" * {scale:g}" if scale != 1 else ""
         rest = f" + {offset:g}" if offset else ""
     else:
-        times, rest = (f" / {modality.steps}" if modality.steps != 1 else ""), ""
+        times, rest = _divided(modality), ""
     return {
         "files": f"{folder_of(modality)}/{{id}}.png",
         "holds": modality.long_name,
@@ -71,6 +71,13 @@ def describe_encoding(modality: Modality) -> dict[str, Any]:
         "offset": offset,
         "none": _none(modality, subtract),
     }
+
+
+def _divided(modality: Modality) -> str:
+    """Return how a number is made of integers that are no measures, as text."""
+    if modality.scale != 1:
+        return f" * {modality.scale:.12g}"
+    return f" / {modality.steps}" if modality.steps != 1 else ""
 
 
 def _subtract(modality: Modality) -> int:

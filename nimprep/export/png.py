@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from nimprep.depth_unit import MILLIMETRE, unit_words
 from nimprep.errors import StoreError
 from nimprep.export.encoding import FILE, describe_encoding, encode_image, folder_of
 from nimprep.export.places import write_new
@@ -79,7 +80,19 @@ def raw_modalities(store: Store) -> list[str]:
             "--format npz",
             stacklevel=2,
         )
+    for name in there:
+        _say_how_it_comes_back(store, store.modality(name))
     return there + [plane.name for plane in planes if _is_describable(plane)]
+
+
+def _say_how_it_comes_back(store: Store, modality: Modality) -> None:
+    """Warn where `convert` would not take up by itself the unit that a store has."""
+    if modality.has_other_unit and modality.step < MILLIMETRE:
+        warnings.warn(
+            f"{store.path}: depth in {unit_words(modality.step)}: to get all of it back, convert "
+            f"the folder with --depth-unit {modality.step:.10g}",
+            stacklevel=2,
+        )
 
 
 def _is_describable(plane: Modality) -> bool:

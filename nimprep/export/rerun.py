@@ -3,7 +3,7 @@
 /                 x right, y down, z forward; the classes' names and colours
 /camera           pinhole camera
 /camera/rgb       PNG
-/camera/depth     16 bits, millimetres
+/camera/depth     16 bits, in the store's unit, which Rerun is told
 /camera/normal    PNG in the usual colours
 /camera/hha       PNG
 /camera/label     class ids
@@ -175,8 +175,9 @@ def _entries(store: Store, index: int) -> dict[str, Any]:
         entries[f"camera/{plane.name}"] = rr.Image(frame[plane.name], color_model="L")
     if frame.depth_m is not None:
         height, width = camera.shape
-        millimetres = store.arrays["depth"].read(index)[:height, :width]
-        entries["camera/depth"] = rr.DepthImage(np.ascontiguousarray(millimetres), meter=1000.0)
+        stored = np.ascontiguousarray(store.arrays["depth"].read(index)[:height, :width])
+        meter = float(store.modality("depth").steps)
+        entries["camera/depth"] = rr.DepthImage(stored, meter=meter)
         cloud = point_cloud(frame.depth_m, camera, frame.rgb, frame.label)
         entries["points"] = rr.Points3D(
             cloud.positions, colors=cloud.colors, class_ids=cloud.class_ids

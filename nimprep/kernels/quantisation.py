@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int8, int16, types, uint16, void
+from numba import float32, int8, int16, int64, types, uint16, void
 
 from nimprep.compilation.decorator import kernel
 
@@ -22,13 +22,20 @@ def normals_to_integers(normal, scale, out):
         integers[i] = np.int32(np.rint(numbers[i] * scale))
 
 
-@kernel(void(_METRES, uint16[:, ::1]))
-def metres_to_millimetres(depth_m, out):
-    """Round (H, W) float32 metres to uint16 millimetres; what does not fit = 0."""
+@kernel(int64(_METRES, float32, uint16[:, ::1]))
+def metres_to_steps(depth_m, steps, out):
+    """Round (H, W) float32 metres times `steps` to uint16; what does not fit = 0.
+
+    Returns how many positive depths became 0: too far, or nearer than half a step.
+    """
     metres, integers = depth_m.reshape(-1), out.reshape(-1)
+    lost = 0
     for i in range(metres.size):
-        millimetres = np.rint(metres[i] * np.float32(1000))
-        integers[i] = np.int32(millimetres) if millimetres <= 65535 else 0
+        rounded = np.rint(metres[i] * steps)
+        integer = np.int32(rounded) if rounded <= 65535 else 0
+        integers[i] = integer
+        lost += metres[i] > 0 and integer == 0
+    return lost
 
 
 @kernel([void(_BYTES, float32[:, :, ::1]), void(_WORDS, float32[:, :, ::1])])

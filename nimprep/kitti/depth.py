@@ -33,6 +33,18 @@ RECORD = "depth.json"
 _ORDER: tuple[DepthOrigin, ...] = ("depth_u16", "lidar", "stereo")
 
 
+def whole_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return depth in metres as it is to a millimetre, however far.
+
+    What rounds to `SATURATED_MM` becomes a millimetre more: an image of 16 bits has neither, and so
+    what a store in millimetres has does not depend on how the depth came to it.
+    """
+    with np.errstate(over="ignore"):
+        thousandths: npt.NDArray[np.float32] = np.rint(depth_m * np.float32(1000))
+    thousandths[thousandths == SATURATED_MM] += 1
+    return thousandths / np.float32(1000)
+
+
 def millimetres_from_metres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     """Return depth as a depth_u16 image holds it: 0 = none, 65535 = 65.535 m or more."""
     with np.errstate(over="ignore"):
@@ -86,7 +98,7 @@ def check_frame_size(shape: tuple[int, int], calibration: Calibration, image: Pa
 
 
 def frame_depth(
-    files: RoadFiles, origin: DepthOrigin, sparse: bool = False
+    files: RoadFiles, origin: DepthOrigin, sparse: bool = False, *, far: bool = False
 ) -> npt.NDArray[np.float32]:
     """Return a frame's depth, as a depth_u16 image of it would be read.
 
@@ -99,24 +111,38 @@ def frame_depth(
     origin : {"depth_u16", "lidar", "stereo"}
     sparse : bool
         Leave LiDAR and stereo as measured.
+    far : bool
+        Keep what LiDAR and stereo have beyond what such an image holds.
 
     Returns
     -------
     (H, W) float32, metres
-        0 = none, and where 65.535 m or more.
+        0 = none, and where a depth_u16 image says 65.535 m or more, or would.
 
     Raises
     ------
     DecodeError
         A file is bad, or sizes differ.
     """
-    return metres_from_millimetres(frame_depth_mm(files, origin, sparse))
+    depth = _measured_depth(files, origin, sparse)
+    if far and depth.dtype != np.uint16:
+        return whole_millimetres(depth)
+    return metres_from_millimetres(_millimetres(depth))
 
 
 def frame_depth_mm(
     files: RoadFiles, origin: DepthOrigin, sparse: bool = False
 ) -> npt.NDArray[np.uint16]:
     """Return a frame's depth as `frame_depth` does, in millimetres; 65535 = saturated."""
+    return _millimetres(_measured_depth(files, origin, sparse))
+
+
+def _millimetres(depth: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
+    return depth if depth.dtype == np.uint16 else millimetres_from_metres(depth)
+
+
+def _measured_depth(files: RoadFiles, origin: DepthOrigin, sparse: bool) -> npt.NDArray[Any]:
+    """Return a depth_u16 image as it is, or else metres of LiDAR or stereo."""
     calibration = read_calibration(files.calibration)
     header = read_header(files.image)
     shape = (header.height, header.width)
@@ -142,7 +168,7 @@ def frame_depth_mm(
         from nimprep.derive.completion import fill_depth
 
         depth, _ = fill_depth(depth, method="linear", num_threads=1)
-    return millimetres_from_metres(depth)
+    return depth
 
 
 def _stored_depth(files: RoadFiles) -> npt.NDArray[Any]:

@@ -53,7 +53,7 @@ def steps_of(normal_dtype: str | None) -> int | None:
             f"normal_dtype: expected one of {', '.join(known.dtypes)} or None, found "
             f"{normal_dtype!r}"
         )
-    return known.as_dtype(normal_dtype).steps
+    return int(known.as_dtype(normal_dtype).steps)
 
 
 def scaling_named(normalize: object) -> Scaling:

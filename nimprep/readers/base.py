@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+from nimprep.depth_unit import UNKNOWN_NUMBERS, DepthNumbers
 from nimprep.derive.methods import Ground
 from nimprep.frame import Frame, LabelClass
 from nimprep.images import read_header
@@ -44,6 +45,8 @@ class DatasetInfo:
         Where HHA's heights are counted from, unless the user says so; None = the floor.
     reference : Reference, optional
         Whose the dataset is.
+    depth : DepthNumbers
+        What is known of its numbers before a frame is decoded.
     """
 
     name: str
@@ -55,6 +58,7 @@ class DatasetInfo:
     has_depth: bool = True
     hha_ground: Ground | None = None
     reference: Reference | None = None
+    depth: DepthNumbers = UNKNOWN_NUMBERS
 
 
 class Reader(Protocol):

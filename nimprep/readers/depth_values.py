@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.depth_unit import MILLIMETRE, DepthNumbers
 from nimprep.doubts.raw import check_byte_order, raw_signs
 from nimprep.errors import DecodeError, OptionError
 from nimprep.images import read_plane
@@ -38,6 +42,46 @@ def raw_depth(place: Place, source: DepthSource) -> npt.NDArray[Any]:
     """
     layout = source.layout if source.bytes is None else replace(source.layout, channel=None)
     return unpacked_depth(read_plane(place.path, layout, place.index), source, place.path)
+
+
+_LOOKED_AT = 8
+"""Files that are opened, at most, to see whether depth has whole numbers: bad ones tell nothing."""
+
+
+def depth_numbers(
+    source: DepthSource, places: Iterable[Place], scale_m: float | None = None
+) -> DepthNumbers:
+    """Return what steps described depth comes in, and how far it is said to go.
+
+    Parameters
+    ----------
+    places : iterable of Place
+        Of the frames' depth, in order; the first that is whole tells the type of the numbers.
+    scale_m : float, optional
+        In place of the description's.
+    """
+    bounds = [m for m in (source.range_m[1], source.clip_m) if m is not None]
+    most_m = min(bounds) if bounds else None
+    scale = scale_m or source.scale
+    if not source.in_metres or (scale <= MILLIMETRE and most_m is None):
+        return DepthNumbers(most_m=most_m)
+    dtype = _dtype(source, places)
+    if dtype is None or dtype.kind not in "iu":
+        return DepthNumbers(most_m=most_m)
+    if dtype.itemsize <= 2 and most_m is not None:
+        # A bound that the numbers cannot reach asks for nothing.
+        most_m = min(most_m, scale * int(np.iinfo(dtype).max) + source.offset)
+    straight = source.along_axis and source.camera is None
+    offset = source.offset / scale
+    return DepthNumbers(scale, straight and abs(offset - round(offset)) < 1e-6, most_m)
+
+
+def _dtype(source: DepthSource, places: Iterable[Place]) -> np.dtype[Any] | None:
+    """Return the type of depth's raw numbers, by the first whole file; None = there is none."""
+    for place in islice(places, _LOOKED_AT):
+        with suppress(DecodeError):
+            return raw_depth(place, source).dtype
+    return None
 
 
 _OF_METRES = frozenset({"multiples_of_8", "largest_raw", "at_most_raw"})

@@ -136,8 +136,14 @@ class DepthSource(PlaneSource):
         """Tell whether its scaled values are metres, not their inverse."""
         return self.values in _METRES
 
+    @property
+    def along_axis(self) -> bool:
+        """Tell whether its scaled values are depth as it is."""
+        return self.values in _ALONG_AXIS
+
 
 _METRES = frozenset({"depth", "distance"})
+_ALONG_AXIS = frozenset({"depth"})
 
 
 @dataclass(frozen=True, kw_only=True)

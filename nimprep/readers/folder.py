@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.camera import Camera
+from nimprep.depth_unit import UNKNOWN_NUMBERS, DepthNumbers
 from nimprep.errors import ArrayError, DecodeError, LayoutError, NimprepError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
@@ -21,6 +22,7 @@ from nimprep.readers.depth_values import (
     check_scale_option,
     checked_raw_signs,
     depth_image,
+    depth_numbers,
     raw_depth,
 )
 from nimprep.readers.depth_warp import check_depth_camera
@@ -129,6 +131,7 @@ class FolderReader(ReaderBase):
             classes=description.classes if "label" in self._matched.places else (),
             calibration=self._cameras.origin,
             has_depth="depth" in self._matched.places,
+            depth=self._depth_numbers(),
             planes=self._planes(),
             hha_ground=description.hha_ground,
             reference=description.reference,
@@ -142,6 +145,13 @@ class FolderReader(ReaderBase):
                 *color_notes(description.rgb),
             ),
         )
+
+    def _depth_numbers(self) -> DepthNumbers:
+        depth = self._description.depth
+        if depth is None:
+            return UNKNOWN_NUMBERS
+        places = self._matched.places.get("depth", {})
+        return depth_numbers(depth, (places[i] for i in self.ids if i in places), self._scale)
 
     def _planes(self) -> tuple[Modality, ...]:
         try:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.depth_unit import DepthNumbers
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import IGNORE_LABEL, Frame, LabelClass
 from nimprep.images import read_header, read_rgb
@@ -109,7 +110,8 @@ class KittiRoadReader(ReaderBase):
             raise LayoutError(self._lacking[min(self._lacking)])
         self.ids = tuple(sorted(self._files))
         classes = _classes(target) if labels else ()
-        self.info = DatasetInfo("kitti-road", classes, "file", split_by="eighth")
+        numbers = DepthNumbers(certain=True)
+        self.info = DatasetInfo("kitti-road", classes, "file", split_by="eighth", depth=numbers)
 
     def _add(self, files: RoadFiles, depth_from: DepthFrom | None) -> None:
         self._files[files.id] = files
@@ -194,7 +196,7 @@ class KittiRoadReader(ReaderBase):
             id=frame_id,
             camera=calibration.camera(*shape),
             rgb=read_rgb(files.image) if "rgb" in modalities else None,
-            depth_m=frame_depth(files, source, self._sparse)
+            depth_m=frame_depth(files, source, self._sparse, far=True)
             if source is not None and "depth" in modalities
             else None,
             label=self._label(files, shape) if self._labels and "label" in modalities else None,

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.frame import IGNORE_LABEL
+from nimprep.modality import MODALITIES, Modality
 from nimprep.parallel import Progress, map_in_order, no_progress
 from nimprep.report.hashes import difference_hash
 from nimprep.splits import SPLIT_CODES
@@ -43,7 +44,8 @@ class Sums:
     Attributes
     ----------
     depth : (4, 65536) int64
-        Depth in mm by split (train, val, test, none), of sampled pixels; column 0 = none.
+        Depth in the store's unit by split (train, val, test, none), of sampled pixels; column 0 =
+        none.
     holes, seen : (h, w) int64
         Of each sampled place in the image: frames without depth there, and frames that reach it.
     directions : (75, 75) int64
@@ -90,8 +92,8 @@ class Collected:
         Of each frame, padding left out.
     valid : (N,) int64
         Pixels with depth.
-    farthest_mm, at_farthest : (N,) int64
-        The greatest depth of a frame, and how many pixels have it.
+    farthest, at_farthest : (N,) int64
+        The greatest depth of a frame, in the store's unit, and how many pixels have it.
     classes : (N, C) int64
         Pixels of each of the store's classes.
     ignored, undeclared : (N,) int64
@@ -101,12 +103,14 @@ class Collected:
     sums : Sums
     pooled : dict of str to (N, 256) float32
         Some values of each other modality, in its unit; NaN = none.
+    depth : Modality
+        As the store holds it.
     """
 
     step: int
     pixels: Counts
     valid: Counts
-    farthest_mm: Counts
+    farthest: Counts
     at_farthest: Counts
     classes: Counts
     ignored: Counts
@@ -114,6 +118,7 @@ class Collected:
     hashes: npt.NDArray[np.uint64]
     sums: Sums
     pooled: dict[str, npt.NDArray[np.float32]] = field(default_factory=dict)
+    depth: Modality = MODALITIES["depth"]
 
     @property
     def hole_share(self) -> npt.NDArray[np.float64]:
@@ -144,7 +149,7 @@ def collect(
         step=step,
         pixels=store.tables.image_size.astype(np.int64).prod(axis=1),
         valid=valid,
-        farthest_mm=farthest,
+        farthest=farthest,
         at_farthest=at_farthest,
         classes=np.zeros((number, len(store.classes)), np.int64),
         ignored=ignored,
@@ -156,6 +161,7 @@ def collect(
             for name in store.modalities
             if name not in _COUNTS
         },
+        depth=store.stored.get("depth", MODALITIES["depth"]),
     )
     done = (progress or no_progress)("looking", number)
     blocks = [range(i, min(i + _BLOCK, number)) for i in range(0, number, _BLOCK)]
@@ -201,7 +207,7 @@ def _count_depth(
 ) -> None:
     found.valid[index] = np.count_nonzero(image)
     farthest = image.max()
-    found.farthest_mm[index] = farthest
+    found.farthest[index] = farthest
     if farthest:
         found.at_farthest[index] = np.count_nonzero(image == farthest)
     sample = image[:: found.step, :: found.step]

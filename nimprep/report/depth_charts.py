@@ -20,7 +20,8 @@ def depth_quantiles(facts: Collected, shares: tuple[float, ...]) -> list[float]:
     cumulated = np.cumsum(counts)
     if cumulated[-1] == 0:
         return [float("nan")] * len(shares)
-    return [float(np.searchsorted(cumulated, s * cumulated[-1])) / 1000 for s in shares]
+    ranks = (float(np.searchsorted(cumulated, s * cumulated[-1])) for s in shares)
+    return [facts.depth.number_of(rank) for rank in ranks]
 
 
 def depth_histogram(facts: Collected) -> Chart:
@@ -28,9 +29,10 @@ def depth_histogram(facts: Collected) -> Chart:
     import plotly.graph_objects as go
 
     low, median, high, last = depth_quantiles(facts, (0.05, 0.5, 0.95, 0.995))
-    # At least a millimetre a bin, as depth has no finer steps.
-    width = max(1, int(np.ceil(1000 * last / _BINS)))
-    edges = np.arange(0, 1000 * last + width, width)
+    # At least one of the store's steps a bin, as depth has no finer ones.
+    steps = facts.depth.steps
+    width = max(1, int(np.ceil(steps * last / _BINS)))
+    edges = np.arange(0, steps * last + width, width)
     traces = []
     for split, counts in zip(SPLIT_CODES, facts.sums.depth, strict=True):
         valid = counts[1:].sum()
@@ -39,7 +41,7 @@ def depth_histogram(facts: Collected) -> Chart:
             traces.append(
                 go.Scatter(
                     name=split,
-                    x=(edges[:-1] + width / 2) / 1000,
+                    x=(edges[:-1] + width / 2) / steps,
                     y=100 * binned / valid,
                     mode="lines",
                     line={"shape": "hvh", "color": f"var(--{split})", "width": 2},

@@ -15,6 +15,7 @@ from nimprep.report.collect import Collected
 from nimprep.report.hashes import BITS, NEAR, nearest
 from nimprep.report.pictures import BACKGROUND
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES, are_categories
+from nimprep.store.depth_loss import loss_text
 from nimprep.store.reader import Store
 from nimprep.store.statistics import ROWS
 
@@ -26,6 +27,9 @@ SPARSE = 0.02
 
 SATURATED = 0.01
 """Depth is saturated where so many of a frame's valid pixels have the store's greatest depth."""
+
+MUCH_LOST = 0.001
+"""The share of the depth that may lie beyond what the store's unit can say."""
 
 FLAT = 2.0
 """A colour image whose standard deviation, 0 to 255, is below this shows nothing."""
@@ -80,7 +84,7 @@ def checks(store: Store) -> list[str]:
     if "rgb" in store.modalities:
         named += ["near-duplicates across splits", "flat colour images"]
     if "depth" in store.modalities:
-        named += ["frames with few valid pixels", "saturated depth"]
+        named += ["frames with few valid pixels", "saturated or lost depth"]
     if "label" in store.modalities:
         named += ["frames and splits without a class", "labels of no class"]
     return named
@@ -203,8 +207,9 @@ def _depth(store: Store, facts: Collected) -> Iterator[Finding]:
             f"(the median frame has {float(np.median(share)):.1%}).",
             _numbers(few),
         )
-    greatest = int(facts.farthest_mm.max())
-    at_end = facts.farthest_mm == greatest
+    yield from _depth_lost(store)
+    greatest = int(facts.farthest.max())
+    at_end = facts.farthest == greatest
     # One pixel is the farthest of any frame, however few there are.
     saturated = at_end & (facts.at_farthest >= np.maximum(SATURATED * facts.valid, 2))
     if greatest and saturated.any():
@@ -213,10 +218,19 @@ def _depth(store: Store, facts: Collected) -> Iterator[Finding]:
             "look",
             "Depth saturated",
             f"{counted(int(saturated.sum()))} with at least {SATURATED:.0%} of the depth at "
-            f"exactly {greatest / 1000:g} m, the greatest of the store: a sensor's limit, perhaps, "
-            "rather than a distance.",
+            f"exactly {facts.depth.number_of(greatest):g} m, the greatest of the store: a "
+            "sensor's limit, perhaps, rather than a distance.",
             _numbers(saturated),
         )
+
+
+def _depth_lost(store: Store) -> Iterator[Finding]:
+    """Yield what the store's unit of depth could not say."""
+    lost = store.about.depth_lost
+    if lost is not None:
+        severity = "problem" if lost["share"] >= MUCH_LOST else "look"
+        text = loss_text(lost)
+        yield Finding("depth-lost", severity, "Depth lost", f"{text[0].upper()}{text[1:]}.")
 
 
 def _labels(store: Store, facts: Collected) -> Iterator[Finding]:

@@ -7,6 +7,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, Literal, NotRequired, TypedDict
 
 from nimprep.splits import SplitName, SplitRule
+from nimprep.store.depth_loss import DepthLost
 
 
 class Split(TypedDict):
@@ -55,6 +56,7 @@ class StoreAttributes:
     doubts: list[dict[str, Any]] = field(default_factory=list)
     findings: list[dict[str, Any]] = field(default_factory=list)
     normal_noise: dict[str, float] | None = None
+    depth_lost: DepthLost | None = None
     depth_percentiles_m: dict[str, float] | None
     source: Source
     complete: bool

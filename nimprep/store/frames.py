@@ -17,9 +17,6 @@ from nimprep.plane import from_plane, to_plane
 from nimprep.store.buffers import empty
 from nimprep.store.images import ImageArray
 
-MAX_DEPTH_M = 65.535
-"""The farthest depth a store can say, metres; what is farther is stored as none."""
-
 
 def to_integers(modality: Modality, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return an image of a `Frame` as a store holds it."""
@@ -36,13 +33,10 @@ def to_integers(modality: Modality, image: npt.NDArray[Any]) -> npt.NDArray[Any]
 
 
 def _rounded(modality: Modality, numbers: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
+    if modality.beyond == "none":
+        return depth_to_integers(modality, numbers)[0]
     numbers = np.ascontiguousarray(numbers, np.float32)
     out = np.empty(numbers.shape, modality.dtype)
-    if modality.beyond == "none":
-        from nimprep.kernels.quantisation import metres_to_millimetres
-
-        metres_to_millimetres(numbers, out)
-        return out
     from nimprep.kernels.planes import positives_to_integers, signed_to_integers
 
     round_into = signed_to_integers if modality.fill else positives_to_integers
@@ -74,14 +68,19 @@ def from_integers(modality: Modality, stored: npt.NDArray[Any]) -> npt.NDArray[A
     return numbers
 
 
-def depth_to_millimetres(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
-    """Round (H, W) float32 metres to uint16 millimetres; beyond `MAX_DEPTH_M` = 0, none."""
-    return to_integers(MODALITIES["depth"], depth_m)
+def depth_to_integers(
+    modality: Modality, depth_m: npt.NDArray[np.float32]
+) -> tuple[npt.NDArray[np.uint16], int]:
+    """Return (H, W) float32 metres as a store holds them, and how many that had some have none.
 
+    None is what lies beyond `Modality.most`, and what is nearer than half a step.
+    """
+    from nimprep.kernels.quantisation import metres_to_steps
 
-def depth_from_millimetres(stored: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
-    """Return (H, W) uint16 millimetres as float32 metres, each the float32 nearest to it."""
-    return from_integers(MODALITIES["depth"], stored)
+    numbers = np.ascontiguousarray(depth_m, np.float32)
+    out = np.empty(numbers.shape, np.uint16)
+    lost = metres_to_steps(numbers, np.float32(modality.steps), out)
+    return out, int(lost)
 
 
 def normals_to_integers(normal: npt.NDArray[np.float32], dtype: str) -> npt.NDArray[Any]:

@@ -56,6 +56,11 @@ def _layout_problems(document: dict[str, Any], spec: ArraySpec) -> list[str]:
     for what, wanted, found in expected:
         if wanted != found:
             problems.append(f"expected {what} {wanted}, found {found!r:.200}")
+    for key in ("scale_factor", "add_offset") if "scale_factor" in spec.attributes else ():
+        # What others read the numbers by, and what they are read by here, must be the same.
+        wanted, found = spec.attributes.get(key, 0), document["attributes"].get(key, 0)
+        if wanted != found:
+            problems.append(f"expected {key} {wanted}, found {found!r:.200}")
     numbers = [*shape, grid[0]]
     sane = all(type(n) is int and n > 0 for n in numbers)
     if not sane or grid[0] > 1 << 16 or shape[0] > MAX_FRAMES:

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from nimprep.depth_unit import unit_words
 from nimprep.doubts.judge import sentence
 from nimprep.frame import IGNORE_LABEL
 from nimprep.splits import are_categories, count_splits
 from nimprep.store.attributes import StoreAttributes
+from nimprep.store.depth_loss import loss_text
 from nimprep.store.reader import Store, open_store
 from nimprep.text import printable
 
@@ -39,6 +41,9 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         "classes": about.classes,
         "modalities": {name: _modality(store, name) for name in store.modalities},
         "depth_percentiles_m": about.depth_percentiles_m,
+        "depth_unit_m": depth.step if (depth := store.stored.get("depth")) else None,
+        "depth_most_m": depth.most if depth else None,
+        "depth_lost": about.depth_lost,
         "calibration": {**about.calibration, **_camera(store)},
         "crop": about.crop,
         "codec": about.codec,
@@ -129,6 +134,10 @@ def info_text(info: dict[str, Any]) -> str:
         ("depth", _depth_text(info)),
         ("camera", _camera_text(info)),
     ]
+    if info["depth_unit_m"] is not None:
+        rows.insert(4, ("unit", _unit_text(info)))
+    if info["depth_lost"] is not None:
+        rows.append(("lost", loss_text(info["depth_lost"])))
     if info["normal_noise"]:
         rows.append(("noise", _noise_text(info["normal_noise"])))
     if info["depth_sources"]:
@@ -181,6 +190,10 @@ def _noise_text(noise: dict[str, float]) -> str:
     if "roughness_deg" in noise:
         text += f", the road's by {noise['roughness_deg']:.1f} deg"
     return text
+
+
+def _unit_text(info: dict[str, Any]) -> str:
+    return f"{unit_words(info['depth_unit_m'])}, to {info['depth_most_m']:.6g} m"
 
 
 def _camera_text(info: dict[str, Any]) -> str:

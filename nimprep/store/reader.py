@@ -24,7 +24,7 @@ from nimprep.store.frames import StoredFrame, check_size
 from nimprep.store.images import ImageArray, OwnChunks
 from nimprep.store.location import Place
 from nimprep.store.metadata import ROOT, consolidated, root_from
-from nimprep.store.spec import WITHOUT_CHECKSUMS, stored_modalities
+from nimprep.store.spec import WITHOUT_CHECKSUMS, check_units, stored_modalities
 from nimprep.store.storage import Storage
 
 _TRIES = 5
@@ -53,6 +53,8 @@ class Store:
         The images frames have here.
     planes : tuple of Modality
         Those of all that it holds that are the dataset's own: see `nimprep.plane`.
+    stored : dict of str to Modality
+        All that it holds, as it holds it.
     tables : Tables
         What the store says of each frame.
     arrays : dict of str to ImageArray
@@ -95,7 +97,8 @@ class Store:
         if problem := digest_problem(attributes):
             raise StoreError(f"{path}: attributes: {problem}")
         about = StoreAttributes.from_json(attributes)
-        stored = stored_modalities(about.modalities)
+        self.stored = stored = stored_modalities(about.modalities)
+        check_units(about.format_version, stored.values(), str(path))
         self.planes = tuple(m for name, m in stored.items() if name not in MODALITIES)
         if self.planes and about.format_version == WITHOUT_CHECKSUMS:
             raise StoreError(

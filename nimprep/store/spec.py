@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,12 +11,19 @@ from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES, Modality
 from nimprep.plane import by_name, plane_from
 
-FORMAT_VERSION = "1.1"
+FORMAT_VERSION = "1.2"
+
+OTHER_UNITS = "2.0"
+"""The format of stores whose depth does not count in millimetres: 1.2 in all else.
+
+Versions before it read any 1.x and take its depth for millimetres, so that a tenth of the depth
+would pass for depth; stores of another number before the dot they refuse.
+"""
 
 WITHOUT_CHECKSUMS = "1.0"
 """The format whose stores do not say which chunks are theirs: any that are whole are taken."""
 
-KNOWN_VERSIONS = (WITHOUT_CHECKSUMS, FORMAT_VERSION)
+KNOWN_VERSIONS = (WITHOUT_CHECKSUMS, "1.1", FORMAT_VERSION, OTHER_UNITS)
 """Formats all of which this version knows; of a newer one it reads what these have."""
 
 COORDINATES = "frame_id split group"
@@ -69,7 +76,9 @@ def stored_modalities(described: Mapping[str, Any]) -> dict[str, Modality]:
         A plane is described that there cannot be.
     """
     known = {
-        name: modality.as_dtype(described[name].get("dtype", modality.dtype))
+        name: modality.as_dtype(described[name].get("dtype", modality.dtype)).as_unit(
+            described[name].get("unit_m"), rounded=described[name].get("rounded", False)
+        )
         for name, modality in MODALITIES.items()
         if name in described
     }
@@ -80,13 +89,34 @@ def stored_modalities(described: Mapping[str, Any]) -> dict[str, Modality]:
     return known | by_name(planes)
 
 
+def format_of(modalities: Iterable[Modality]) -> str:
+    """Return the format of a store that holds these."""
+    return OTHER_UNITS if any(m.has_other_unit for m in modalities) else FORMAT_VERSION
+
+
+def check_units(version: str, modalities: Iterable[Modality], where: str) -> None:
+    """Refuse a store whose format is not that of its unit of depth.
+
+    Raises
+    ------
+    StoreError
+        The number before the dot is another than its modalities have.
+    """
+    wanted = format_of(modalities)
+    if version.partition(".")[0] != wanted.partition(".")[0]:
+        raise StoreError(
+            f"{where}: expected store format {wanted}, found {version!r}; a newer nimprep may read "
+            "it"
+        )
+
+
 def image_spec(modality: Modality, classes: tuple[LabelClass, ...]) -> ArraySpec:
     """Return the array of a modality in a store of these classes."""
     attributes: dict[str, Any] = {"long_name": modality.long_name}
     if modality.units:
         attributes["units"] = modality.units
-    if modality.steps > 1:
-        attributes["scale_factor"] = 1 / modality.steps
+    if modality.steps > 1 or modality.own_unit:
+        attributes["scale_factor"] = modality.step
     if modality.values == "measures" and (modality.scale, modality.offset) != (1, 0):
         attributes["scale_factor"] = modality.scale
         attributes["add_offset"] = modality.offset
@@ -155,7 +185,8 @@ def check_version(version: object, where: str) -> None:
     StoreError
         It is newer, or none.
     """
-    if not isinstance(version, str) or version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
+    known = {each.split(".")[0] for each in KNOWN_VERSIONS}
+    if not isinstance(version, str) or version.split(".")[0] not in known:
         raise StoreError(
             f"{where}: expected store format {FORMAT_VERSION}, found {version!r}; "
             "a newer nimprep may read it"

@@ -52,7 +52,7 @@ def channel_sums(
     ----------
     images : mapping of modality to array
         As the store holds them, without padding, C-contiguous: rgb and hha (H, W, 3) uint8, depth
-        (H, W) uint16 millimetres, planes (H, W) of their dtype. Others are passed over.
+        (H, W) uint16, planes (H, W) of their dtype. Others are passed over.
     planes : sequence of Modality
         The store's, in order.
 
@@ -140,23 +140,26 @@ def class_pixels_of(store: Store) -> npt.NDArray[np.uint32]:
 
 
 def combine_sums(
-    sums: npt.NDArray[np.int64], planes: Sequence[Modality] = ()
+    sums: npt.NDArray[np.int64],
+    planes: Sequence[Modality] = (),
+    held: Mapping[str, Modality] = MODALITIES,
 ) -> dict[str, ChannelStatistics]:
     """Return the statistics of frames from their sums, (N, 7 + P, 3) int64; of planes in units.
 
+    `held` are the modalities as the store holds them: depth counts in its unit.
     Modalities without any pixel are left out. The standard deviation is the population's.
     """
     # Python's integers: the squares of some thousand frames of far depth pass 2**63.
     total = sums.astype(object).sum(axis=0)
     statistics = {}
     for name, rows in ROWS.items():
-        unit = MODALITIES[name].steps
+        number_of = held.get(name, MODALITIES[name]).number_of
         if len(sums) == 0 or total[rows][0, 0] == 0:
             continue
-        mean = tuple(int(s) / int(n) / unit for n, s, _ in total[rows])
+        mean = tuple(number_of(int(s) / int(n)) for n, s, _ in total[rows])
         # n * sum(x^2) - sum(x)^2 in integers: a difference of floats would lose what matters.
         spread = (math.sqrt(int(n) * int(q) - int(s) ** 2) / int(n) for n, s, q in total[rows])
-        statistics[name] = ChannelStatistics(mean, tuple(s / unit for s in spread))
+        statistics[name] = ChannelStatistics(mean, tuple(map(number_of, spread)))
     for plane, (n, s, q) in zip(planes, total[SUMS_SHAPE[0] :], strict=True):
         if len(sums) and n:
             mean = (int(s) / int(n) * plane.scale + plane.offset,)
@@ -181,4 +184,4 @@ def channel_statistics(store: Store, split: str | None = "train") -> dict[str, C
             f"{store.path}: expected frames in split {split!r} for its statistics, found none; "
             "split the store anew with nimprep split"
         )
-    return combine_sums(store.tables.channel_sums[frames], store.planes)
+    return combine_sums(store.tables.channel_sums[frames], store.planes, store.stored)

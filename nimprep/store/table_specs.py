@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from nimprep.depth_unit import MILLIMETRE, unit_words
 from nimprep.frame import IGNORE_LABEL
 from nimprep.modality import MODALITIES
 from nimprep.splits import SPLIT_CODES
 from nimprep.store.spec import COORDINATES, FORMAT_VERSION, WITHOUT_CHECKSUMS, ArraySpec
+
+_IN_UNITS = "depth in mm"
+"""The channel of depth, which counts in the store's unit."""
 
 TABLES: dict[str, ArraySpec] = {
     "frame_id": ArraySpec(("frame",), "string", "", {"long_name": "frame id"}),
@@ -79,7 +83,7 @@ TABLES: dict[str, ArraySpec] = {
         0,
         {
             "long_name": "number, sum and sum of squares of the pixels with a value, per channel",
-            "channels": ["red", "green", "blue", "depth in mm", "hha 1", "hha 2", "hha 3"],
+            "channels": ["red", "green", "blue", _IN_UNITS, "hha 1", "hha 2", "hha 3"],
             "coordinates": COORDINATES,
         },
         (7, 3),
@@ -95,7 +99,10 @@ CHUNK_CHECKSUMS = "chunk_crc32c"
 
 
 def table_specs(
-    modalities: Sequence[str] = (), version: str = FORMAT_VERSION, classes: Sequence[int] = ()
+    modalities: Sequence[str] = (),
+    version: str = FORMAT_VERSION,
+    classes: Sequence[int] = (),
+    unit_m: float = MILLIMETRE,
 ) -> dict[str, ArraySpec]:
     """Return the per-frame arrays of a store, by name.
 
@@ -107,6 +114,8 @@ def table_specs(
         Its format.
     classes : sequence of int
         The ids of its classes, in the order of its attributes.
+    unit_m : float
+        The unit of its depth.
     """
     if version == WITHOUT_CHECKSUMS:
         return TABLES
@@ -133,14 +142,16 @@ def table_specs(
         (len(classes) + 1,),
     )
     planes = [name for name in modalities if name not in MODALITIES]
-    sums = {"channel_sums": _sums_spec(planes)}
+    sums = {"channel_sums": _sums_spec(planes, unit_m)}
     return {**TABLES, **sums, CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
 
 
-def _sums_spec(planes: Sequence[str]) -> ArraySpec:
+def _sums_spec(planes: Sequence[str], unit_m: float) -> ArraySpec:
     """Return the table of sums in a store of these planes: each has a row below those of all."""
     spec = TABLES["channel_sums"]
-    channels = [*spec.attributes["channels"], *planes]
+    depth = "depth in " + unit_words(unit_m).removeprefix("1 ")
+    own = [depth if name == _IN_UNITS else name for name in spec.attributes["channels"]]
+    channels = [*own, *planes]
     return replace(
         spec, attributes={**spec.attributes, "channels": channels}, rest=(len(channels), 3)
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nimprep.camera import MAX_BASELINE_M, Camera
+from nimprep.depth_unit import MILLIMETRE
 from nimprep.derive.recipe import recipe_from
 from nimprep.errors import ArrayError, CameraError, StoreError
 from nimprep.modality import MODALITIES
@@ -211,7 +212,9 @@ def check_tables(store: Store, report: Report) -> None:
 
 
 def _tables(store: Store) -> dict[str, ArraySpec]:
-    return table_specs(store.modalities, store.about.format_version, store.about.class_ids)
+    about = store.about
+    unit_m = about.modalities.get("depth", {}).get("unit_m", MILLIMETRE)
+    return table_specs(store.modalities, about.format_version, about.class_ids, unit_m)
 
 
 def _check_camera(store: Store, index: int, report: Report) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.depth_unit import MILLIMETRES, ChosenUnit
 from nimprep.errors import StoreError
 from nimprep.folders import adopt, adopt_tree, place_of, refuse_inside, refuse_within, sync_folder
 from nimprep.frame import LabelClass
@@ -23,7 +24,7 @@ from nimprep.store.extras import check_replaceable, discard
 from nimprep.store.memory import MemoryFiles
 from nimprep.store.metadata import ROOT, read_attributes
 from nimprep.store.shards import encode_shard
-from nimprep.store.spec import FORMAT_VERSION, ArraySpec, ChunkCodec, Codec, chunk_codec, image_spec
+from nimprep.store.spec import ArraySpec, ChunkCodec, Codec, chunk_codec, format_of, image_spec
 from nimprep.store.storage import LocalStorage, Storage
 from nimprep.store.swap import swap_folders
 from nimprep.store.table_specs import table_key, table_specs
@@ -50,6 +51,8 @@ class StoreLayout:
         Frames per shard.
     planes : tuple of Modality
         Those of the modalities that are the dataset's own.
+    depth_unit : ChosenUnit
+        In which depth is stored.
     """
 
     frames: int
@@ -61,13 +64,15 @@ class StoreLayout:
     codec: Codec
     shard_length: int
     planes: tuple[Modality, ...] = ()
+    depth_unit: ChosenUnit = MILLIMETRES
 
     def modality(self, name: str) -> Modality:
         """Return a modality as the store is to hold it."""
         for plane in self.planes:
             if plane.name == name:
                 return plane
-        return MODALITIES[name].as_dtype(self.normal_dtype)
+        held, unit = MODALITIES[name].as_dtype(self.normal_dtype), self.depth_unit
+        return held.as_unit(unit.unit_m, rounded=unit.rounded)
 
     def spec(self, modality: str) -> ArraySpec:
         """Return the array a modality is stored in."""
@@ -253,7 +258,8 @@ class StoreWriter:
         group = zarr.open_group(memory.zarr, mode="w", zarr_format=3)
         for modality in self.layout.modalities:
             self._create_images(group, modality)
-        specs = table_specs(self.layout.modalities, classes=about.class_ids)
+        unit_m = self.layout.depth_unit.unit_m
+        specs = table_specs(self.layout.modalities, classes=about.class_ids, unit_m=unit_m)
         for name, spec in specs.items():
             create_table(group, name, spec, tables[name])
         with warnings.catch_warnings():
@@ -264,7 +270,8 @@ class StoreWriter:
         root = json.loads(files.pop(ROOT))
         chunks = {name: files[table_key(name)] for name in specs}
         sums = {name: chunk_checksum(chunk) for name, chunk in chunks.items()}
-        about = replace(about, format_version=FORMAT_VERSION, complete=True, tables=sums)
+        version = format_of(map(self.layout.modality, self.layout.modalities))
+        about = replace(about, format_version=version, complete=True, tables=sums)
         root["attributes"]["nimprep"] = with_digest(about.to_json())
         if problems := schema_problems(root["attributes"]["nimprep"], "store"):
             raise StoreError(

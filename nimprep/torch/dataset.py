@@ -98,7 +98,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
     dtype : {"float32", "stored"}
         "stored": images as the store holds them, one tensor per name, for `Normalize` to do the
         float work on the device: rgb and hha (3, H, W) uint8, normal (3, H, W) int8 or int16,
-        depth and disparity (1, H, W) uint16, transformed disparity and elevation (1, H, W) int16,
+        depth (1, H, W) uint16, in steps of ``store.modality("depth").step`` metres, disparity
+        (1, H, W) uint16, transformed disparity and elevation (1, H, W) int16,
         planes (1, H, W) of their own dtype,
         label (H, W) uint8; see `nimprep.modality` for their steps.
     seed : int

@@ -38,9 +38,9 @@ class Normalize(nn.Module):
         batch : dict
             Of rgb, hha (B, 3, H, W) uint8, depth, disparity (B, 1, H, W) uint16,
             transformed_disparity, elevation (B, 1, H, W) int16, all in the steps of
-            `nimprep.modality`, planes (B, 1, H, W) of their dtype, normal (B, 3, H, W) int8 or
-            int16, label (B, H, W) uint8, as far as the setup has them. One sample
-            without B will do as well.
+            `nimprep.modality`, depth in the store's, planes (B, 1, H, W) of their dtype, normal
+            (B, 3, H, W) int8 or int16, label (B, H, W) uint8, as far as the setup has them. One
+            sample without B will do as well.
 
         Returns
         -------

@@ -21,7 +21,6 @@ from nimprep.modality import MODALITIES, Modality
 from nimprep.plane import values_of
 from nimprep.store.buffers import empty
 from nimprep.store.frames import (
-    depth_from_millimetres,
     from_integers,
     to_integers,
 )
@@ -178,7 +177,7 @@ class StoredImages:
         """Return the normals of a frame's stored depth, (H, W, 3), zeros in the padding."""
         camera = self.store.camera(index)
         height, width = camera.shape
-        depth_m = depth_from_millimetres(self.stored("depth", index))
+        depth_m = from_integers(self.modality("depth"), self.stored("depth", index))
         out = empty((*camera.shape, 3), np.float32)
         valid = np.ascontiguousarray(depth_m[:height, :width])
         estimate_normals(valid, camera, method=self._method, out=out, num_threads=1)

@@ -108,10 +108,23 @@ def test_lidar_is_doubted_unless_it_is_filled(case: Case) -> None:
 
 
 def test_the_share_of_depth_beyond_the_range_is_said(case: Case) -> None:
-    found = doubts_of(case("39-"), "d.json")
+    found = doubts_of(case("39-"), "d.json", depth_unit="mm")
     assert found.keys() == {"beyond-range"}
     # By the case's own count: 50.0 of 68.8 % are left.
     assert found["beyond-range"].startswith("27% of the depth lies beyond 65.535 m")
+
+
+def test_far_depth_is_stored_as_it_is_in_its_own_unit(case: Case) -> None:
+    root = case("39-")
+    assert doubts_of(root, "d.json") == {}
+    store = nimprep.open_store(root.parent / "out.zarr")
+    assert store.about.depth_lost is None
+    for frame in store:
+        raw = cv2.imread(str(root / f"depth/{frame.id}.png"), cv2.IMREAD_UNCHANGED)
+        raw[raw == 65535] = 0
+        assert frame.depth_m is not None
+        assert (frame.depth_m > 65.535).mean() > 0.15
+        assert abs(frame.depth_m - raw / 100).max() < 1e-4
 
 
 def test_cameras_in_other_numbers_and_of_other_images_are_doubted(case: Case) -> None:

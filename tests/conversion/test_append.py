@@ -351,9 +351,9 @@ def test_what_is_no_complete_store_is_refused(store: Path, more: Path, tmp_path:
         nimprep.append_frames(more, "s3://bucket/s.zarr")
     with pytest.raises(StoreError, match="apart from the source"):
         nimprep.append_frames(store, store)
-    edit_attributes(store, format_version="1.2")
-    refused(more, store, StoreError, r"expected store format 1\.1 or older .* found '1\.2'")
-    edit_attributes(store, format_version="1.1", complete=False)
+    edit_attributes(store, format_version="1.3")
+    refused(more, store, StoreError, r"expected store format 1\.2 or older .* found '1\.3'")
+    edit_attributes(store, format_version="1.2", complete=False)
     refused(more, store, StoreError, "cut short")
 
 

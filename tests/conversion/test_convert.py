@@ -160,7 +160,8 @@ def test_depth_beyond_what_a_store_can_say_is_none(tmp_path: Path) -> None:
     depth = np.full((24, 32), 3000, np.uint16)
     depth[0, 0] = 40000
     write_png(root / "depth_u16" / "000000.png", depth)
-    frame = nimprep.convert(root, tmp_path / "s.zarr", depth_scale=0.002)[0]
+    options = {"depth_scale": 0.002, "depth_unit": "mm"}
+    frame = nimprep.convert(root, tmp_path / "s.zarr", **options)[0]
     assert frame.depth_m is not None
     assert frame.depth_m[0, 0] == 0
     assert frame.depth_m[0, 1] == 6

@@ -230,11 +230,11 @@ def test_other_classes_formats_and_places_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="--overwrite"):
         nimprep.merge_stores([a, b], target)
     edit_attributes(b, format_version="1.7")
-    with pytest.raises(StoreError, match=r"expected store format 1\.1 or older .*found '1\.7'"):
+    with pytest.raises(StoreError, match=r"expected store format 1\.2 or older .*found '1\.7'"):
         nimprep.merge_stores([a, b], target, overwrite=True)
     classes = nimprep.open_store(a).attributes["classes"]
     classes = [*classes[:2], {**classes[2], "name": "stone"}]
-    edit_attributes(b, format_version="1.1", classes=classes)
+    edit_attributes(b, format_version="1.2", classes=classes)
     with pytest.raises(StoreError, match=r"expected classes 0 background, .* 2 road anomaly as in"):
         nimprep.merge_stores([a, b], target, overwrite=True)
     assert contents(target) == contents(a)

@@ -143,7 +143,7 @@ def test_quantiles_are_those_of_the_depths_there_are(tmp_path: Path) -> None:
     folder.add("train", depth_mm=depth.reshape(HEIGHT, WIDTH))
     facts = collect(nimprep.open_store(folder.store()))
     assert depth_quantiles(facts, (0.1, 0.5, 0.99)) == [1.0, 2.0, 3.0]
-    assert facts.farthest_mm.tolist() == [3000]
+    assert facts.farthest.tolist() == [3000]
     assert facts.at_farthest.tolist() == [HEIGHT * WIDTH // 4]
 
 

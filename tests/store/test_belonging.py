@@ -296,7 +296,7 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "frames with a split of their own": lambda a: a.update(fixed_splits={"test": ["000001"]}),
     "depth": lambda a: a["depth_percentiles_m"].update({"5": 0.5}),
     "the format, to one without checksums": lambda a: a.update(format_version="1.0"),
-    "the format, to a newer one": lambda a: a.update(format_version="1.2"),
+    "the format, to a newer one": lambda a: a.update(format_version="1.3"),
     "the version of the tool": lambda a: a.update(tool_version="9"),
     "something new": lambda a: a.update(note="x"),
 }

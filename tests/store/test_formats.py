@@ -190,7 +190,7 @@ def newer(tmp_path: Path) -> Path:
         nimprep.convert(write_gmrp(tmp_path / "a", 4, SIZE), tmp_path / "n.zarr", **OPTIONS).path
     )
     shutil.copytree(path / "depth", path / "confidence")
-    edit_attributes(path, format_version="1.2", sensor={"name": "x"})
+    edit_attributes(path, format_version="1.3", sensor={"name": "x"})
     return path
 
 
@@ -198,7 +198,7 @@ def test_a_newer_minor_format_is_read_and_what_is_new_in_it_passed_over(newer: P
     store = nimprep.open_store(newer)
     assert [np.array_equal(f.depth_m, depth(int(f.id))) for f in store] == [True] * 4
     assert validate_store(newer, deep=True).problems == []
-    assert "(format 1.2)" in info_text(store_info(newer))
+    assert "(format 1.3)" in info_text(store_info(newer))
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -206,7 +206,7 @@ def test_a_newer_minor_format_is_left_alone_by_what_would_lose_what_is_new_in_it
     newer: Path, more: Path, change: str
 ) -> None:
     before = contents(newer.parent)
-    with pytest.raises(StoreError, match=r"format 1\.1 or older .* found '1\.2'; a newer nimprep"):
+    with pytest.raises(StoreError, match=r"format 1\.2 or older .* found '1\.3'; a newer nimprep"):
         CHANGES[change](newer, more)
     assert contents(newer.parent) == before
 
@@ -217,7 +217,7 @@ def test_a_newer_minor_format_is_left_alone_by_what_would_lose_what_is_new_in_it
 def test_a_newer_major_format_is_refused_by_every_command(
     newer: Path, more: Path, tmp_path: Path, command: str
 ) -> None:
-    edit_attributes(newer, format_version="2.0")
+    edit_attributes(newer, format_version="3.0")
     arguments = {
         "append": [more, newer],
         "merge": [newer, newer, tmp_path / "m.zarr"],
@@ -227,6 +227,22 @@ def test_a_newer_major_format_is_refused_by_every_command(
     done = CliRunner().invoke(main, [command, *map(str, arguments)])
     assert done.exit_code == 1
     expected = (
-        f"error: {newer}: expected store format 1.1, found '2.0'; a newer nimprep may read it"
+        f"error: {newer}: expected store format 1.2, found '3.0'; a newer nimprep may read it"
     )
     assert done.stderr.strip() == expected
+
+
+def test_a_store_of_format_1_1_reads_as_what_was_converted_and_takes_frames(
+    more: Path, tmp_path: Path
+) -> None:
+    path = Path(shutil.copytree(DATA / "format-1.1", tmp_path / "s.zarr"))
+    store = nimprep.open_store(path)
+    assert store.about.format_version == "1.1"
+    assert store.modality("depth").step == 0.001
+    assert [np.array_equal(f.depth_m, depth(int(f.id))) for f in store] == [True] * 5
+    assert validate_store(path).problems == []
+    assert "(format 1.1)" in info_text(store_info(store))
+    nimprep.append_frames(more, path, camera=OPTIONS["camera"])
+    grown = nimprep.open_store(path)
+    assert grown.about.format_version == FORMAT_VERSION
+    assert [np.array_equal(f.depth_m, depth(int(f.id))) for f in grown] == [True] * 8

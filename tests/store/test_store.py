@@ -190,6 +190,7 @@ def test_depth_percentiles_are_those_of_all_valid_pixels(made: Path) -> None:
     [
         ({"complete": False}, "cut short"),
         ({"format_version": "2.0"}, "a newer nimprep"),
+        ({"format_version": "3.0"}, "a newer nimprep"),
         ({"format_version": None}, "a newer nimprep"),
         ({"classes": 3}, "schema 'store'"),
         ({"modalities": ["rgb"]}, "schema 'store'"),
