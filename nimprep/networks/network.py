@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from nimprep.errors import ArrayError
+from nimprep.networks.cost import count_flops
 from nimprep.networks.losses import IGNORE, cross_entropy
 
 SMALLEST = 64
@@ -157,6 +158,23 @@ class Network(nn.Module, ABC):
         """Return the parts of `loss` by name, each as it counts; parameters as there."""
         logits = outputs if isinstance(outputs, Tensor) else outputs.logits
         return {"segmentation": cross_entropy(logits, labels, class_weights, ignore_index)}
+
+    def flops(self, height: int, width: int) -> int:
+        """Return the floating-point operations of one image of this size, in evaluation.
+
+        Two for each multiply-add of a convolution; normalisation, activations, pooling, resizing
+        and edge maps are left out, as is usual. Nothing is computed.
+
+        Raises
+        ------
+        ArrayError
+            The size is below 64.
+        """
+        channels = (self.inputs,) if isinstance(self.inputs, int) else self.inputs
+        dtype = next(self.parameters()).dtype
+        given = (*channels, 1) if self.wants_depth else channels
+        images = [torch.empty(1, n, height, width, dtype=dtype, device="meta") for n in given]
+        return count_flops(self, images)
 
     def _sized(self, images: tuple[Tensor, ...], *, auxiliary: bool) -> Any:
         self._check(images)

@@ -113,6 +113,7 @@ class ResNet(nn.Module):
                 *conv_bn_relu(base[0], base[0]),
                 conv(base[0], stem),
             )
+        self.deep_stem = deep_stem
         self.bn1 = nn.BatchNorm2d(stem)
         self.channels = [stem]
         for number, blocks in enumerate(DEPTHS[depth]):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator, Mapping
+import re
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from nimprep.errors import ArrayError
+from nimprep.errors import ArrayError, DoubtWarning
 from nimprep.networks.densenet import DenseNet121
 from nimprep.networks.network import Loaded, Network
 from nimprep.networks.resnet import ResNet
@@ -18,6 +20,9 @@ from nimprep.networks.vgg import VGG16
 
 FIRST = ("features.0.weight", "conv1.weight", "features.conv0.weight")
 """The first convolution of VGG, ResNet and DenseNet, which sees the image."""
+
+_OLD_NAME = re.compile(r"^(.*denselayer\d+\.(?:norm|conv))\.([12]\.\w+)$")
+"""DenseNet's layers as torchvision's files have them: norm.1 for norm1."""
 
 MARK = "nimprep_network"
 """The key of a file's dict that holds all of a network, under "state"."""
@@ -40,6 +45,11 @@ def load_weights(network: Network, path: Path) -> Loaded:
     ------
     ArrayError
         The file cannot be read, is another network's, or has nothing for this one.
+
+    Warns
+    -----
+    DoubtWarning
+        The file lacks a part of the encoder, or has more of one.
     """
     found = read_weights(path)
     if MARK in found:
@@ -89,12 +99,16 @@ def _whole(network: Network, found: Mapping[str, Any], path: Path) -> Loaded:
 
 def _encoders(network: Network, tensors: Mapping[str, Tensor], path: Path) -> Loaded:
     own = network.state_dict(keep_vars=True)
-    loaded, adapted, used = [], [], set()
-    for place, name in _places(network, own):
+    tensors = {_OLD_NAME.sub(r"\1\2", name): tensor for name, tensor in tensors.items()}
+    loaded, adapted, missing, used = [], [], [], set()
+    for place, name in _places(network):
         if name not in tensors:
+            missing.append(name)
             continue
         target, given = own[place], tensors[name]
         fitted, other = _fitted(given, target, name)
+        if fitted is None and name.startswith(_behind_deep_stem(network)):
+            continue
         if fitted is None:
             raise ArrayError(
                 f"{path}: expected {name} of shape {tuple(target.shape)}, found "
@@ -112,10 +126,36 @@ def _encoders(network: Network, tensors: Mapping[str, Tensor], path: Path) -> Lo
         )
     initial = tuple(name for name in own if name not in set(loaded))
     unused = tuple(name for name in tensors if name not in used)
+    _say_others(path, network, missing, unused)
     return Loaded(tuple(loaded), tuple(adapted), initial, unused)
 
 
-def _places(network: Network, own: Mapping[str, Tensor]) -> Iterator[tuple[str, str]]:
+def _behind_deep_stem(network: Network) -> tuple[str, ...]:
+    """Return how names begin of what a deep stem has made of other shapes than torchvision's."""
+    deep = any(isinstance(m, ResNet) and m.deep_stem for m in network.modules())
+    return ("bn1.", "layer1.0.conv1.", "layer1.0.downsample.0.") if deep else ()
+
+
+def _say_others(
+    path: Path, network: Network, missing: Sequence[str], unused: Sequence[str]
+) -> None:
+    """Warn where a file has some of the encoder, or more: one of another depth, as a rule."""
+    stem = ("conv1.",) if _behind_deep_stem(network) else ()
+    ours = ("features.transition4.", "features.norm.", "classifier.", *stem)
+    lacking = [n for n in missing if not n.startswith(ours) and not n.endswith("_tracked")]
+    theirs = ("fc.", "classifier.", "features.norm5.", *stem, *_behind_deep_stem(network))
+    left = [n for n in unused if not n.startswith(theirs) and not n.endswith("_tracked")]
+    for names, said in ((lacking, "found none for"), (left, "found no place for its")):
+        if names:
+            warnings.warn(
+                f"{path}: expected the weights of {type(network).__name__}'s own encoder, {said} "
+                f"{names[0]} and {len(names) - 1} more; give those of the same depth",
+                DoubtWarning,
+                stacklevel=4,
+            )
+
+
+def _places(network: Network) -> Iterator[tuple[str, str]]:
     """Yield the network's tensors that a file may hold, and their names there."""
     for prefix, module in network.named_modules():
         if isinstance(module, (VGG16, ResNet, DenseNet121)):

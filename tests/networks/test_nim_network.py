@@ -175,7 +175,7 @@ def test_in_training_it_gives_what_the_network_gives(path: Path) -> None:
     assert double(**taken(path)).dtype == torch.float64
 
 
-@pytest.mark.parametrize("name", ["mfnet", "depthaware", "gscnn"])
+@pytest.mark.parametrize("name", ["mfnet", "gscnn"])
 def test_it_is_compiled_and_exported_whole(name: str, path: Path) -> None:
     fusion = NETWORKS[name].fusion
     model = NimNetwork(made(name, "nim-rgb+d", fusion), "nim-rgb+d").eval()
