@@ -250,7 +250,9 @@ class StoreLoader:
         if spare and len(spare[0]["id"]) == len(items):
             batch = spare.pop(0)
         else:
-            batch = dataset.allocate(len(items), pinned=self.pin_memory)
+            # Threads fill it, in which no inference mode holds that its user may be in.
+            with torch.inference_mode(False):
+                batch = dataset.allocate(len(items), pinned=self.pin_memory)
         filled = [
             pool.submit(dataset.fill, batch, position, item) for position, item in enumerate(items)
         ]

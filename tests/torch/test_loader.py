@@ -239,3 +239,12 @@ def test_an_iterator_that_comes_to_a_process_by_a_fork_is_refused_there(
     assert f"forked from there, {child}" in said
     left = [batch["id"] for batch in (first, *rest, *batches)]
     assert [i for some in left for i in some] == list(StoreDataset(path, None, "rgb").store.ids)
+
+
+def test_a_loader_can_be_gone_through_in_inference_mode(path) -> None:
+    data = StoreDataset(path, None, "nim-rgb+d")
+    plain = [batch["inputs"] for batch in StoreLoader(data, 3)]
+    with torch.inference_mode():
+        found = [batch["inputs"] for batch in StoreLoader(data, 3)]
+    assert len(found) == len(plain)
+    assert all(torch.equal(a, b) for a, b in zip(found, plain, strict=True))
