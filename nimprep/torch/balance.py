@@ -14,7 +14,7 @@ from nimprep.frame import IGNORE_LABEL
 from nimprep.store.reader import Store
 from nimprep.store.statistics import class_pixels_of
 
-Weighting = Literal["inverse", "median", "effective", "enet"]
+Weighting = Literal["inverse", "median", "effective", "enet", "espnet"]
 """How rare classes are to count for more; see `class_weights`."""
 
 Counts = npt.NDArray[np.int64]
@@ -74,7 +74,7 @@ def class_weights(pixels: Counts, method: Weighting) -> Weights:
     ----------
     pixels : (N, K) int64
         Pixels of each class in each frame.
-    method : {"inverse", "median", "effective", "enet"}
+    method : {"inverse", "median", "effective", "enet", "espnet"}
         With n_c the pixels of class c, p_c their share of all classes' and K the classes that have
         any:
 
@@ -84,6 +84,7 @@ def class_weights(pixels: Counts, method: Weighting) -> Weights:
         effective  proportional to (1 - b) / (1 - b^n_c), mean 1, with b = 1 - 1 / sum of n_c
                    (Cui et al., CVPR 2019, equations 2 and 11)
         enet       1 / ln(1.02 + p_c) (Paszke et al., arXiv:1606.02147, section 5.1)
+        espnet     1 / ln(1.10 + p_c), as ESPNet's authors train
 
     Raises
     ------
@@ -126,11 +127,17 @@ def _enet(pixels: Weights) -> Weights:
     return np.asarray(1 / np.log(1.02 + total / total.sum()))
 
 
+def _espnet(pixels: Weights) -> Weights:
+    total = pixels.sum(axis=0)
+    return np.asarray(1 / np.log(1.10 + total / total.sum()))
+
+
 _METHODS: dict[str, Callable[[Weights], Weights]] = {
     "inverse": _inverse,
     "median": _median,
     "effective": _effective,
     "enet": _enet,
+    "espnet": _espnet,
 }
 
 
