@@ -37,7 +37,7 @@ class Checkpoint:
     width : float
     stages : int
         As for `build_network`.
-    setup : str
+    setup : str or tuple of str
         As `StoreDataset` takes it.
     groups : tuple of tuple of str
         The modalities, and views of them, of each image that the network takes, in the order of its
@@ -48,6 +48,8 @@ class Checkpoint:
         What each channel of the logits stands for.
     scale, offset : dict of str to tuple of float
         How each modality's numbers became the network's, by `nimprep.torch.Scaling`.
+    cut : dict of str to (float, float)
+        The range to which they were cut before, as there.
     recipe : dict
         How the derived modalities were made: the fields of `nimprep.derive.recipe.Recipe`.
     size : (int, int)
@@ -56,6 +58,9 @@ class Checkpoint:
         What the training says of it: epoch, step, loss, scores.
     state : dict of str to Tensor
         The network's `state_dict`.
+    normal_dtype : str, optional
+        What the normals were stored as, and so rounded to, where they came from a store; None =
+        they were computed as they were read, or there are none.
     version : str
         Of nimprep, that wrote it.
     """
@@ -63,16 +68,18 @@ class Checkpoint:
     network: str
     width: float
     stages: int
-    setup: str
+    setup: str | tuple[str, ...]
     groups: tuple[tuple[str, ...], ...]
     channels: tuple[int, ...]
     classes: tuple[LabelClass, ...]
     scale: dict[str, tuple[float, ...]]
     offset: dict[str, tuple[float, ...]]
+    cut: dict[str, tuple[float, float]]
     recipe: dict[str, Any]
     size: tuple[int, int]
     figures: dict[str, Any] = field(default_factory=dict)
     state: dict[str, Tensor] = field(default_factory=dict, repr=False)
+    normal_dtype: str | None = None
     version: str = __version__
 
     @property
@@ -194,15 +201,19 @@ def _fields(said: Mapping[str, Any]) -> dict[str, Any]:
         return {name: tuple(row) for name, row in values.items()}
 
     classes = (LabelClass(c["id"], c["name"], tuple(c["color"])) for c in said["classes"])
-    made = {
+    setup = said["setup"]
+    made: dict[str, Any] = {
+        "setup": setup if isinstance(setup, str) else tuple(setup),
         "groups": tuple(tuple(group) for group in said["groups"]),
         "channels": tuple(said["channels"]),
         "classes": tuple(classes),
         "scale": rows(said["scale"]),
         "offset": rows(said["offset"]),
+        "cut": rows(said["cut"]),
         "size": tuple(said["size"]),
     }
-    plain = ("network", "width", "stages", "setup", "recipe", "figures", "version")
+    plain = ("network", "width", "stages", "recipe", "figures", "version")
+    made["normal_dtype"] = said.get("normal_dtype")
     return {**{name: said[name] for name in plain}, **made}
 
 

@@ -48,6 +48,7 @@ def made(name: str = "mfnet", **changes: Any) -> Checkpoint:
         classes=CLASSES,
         scale={"rgb": (0.1, 0.2, 0.3)},
         offset={"rgb": (1.0, 2.0, 3.0)},
+        cut={"depth": (0.0, 20.0)},
         recipe=RECIPE,
         size=(96, 128),
         figures={"epoch": 3, "step": 12, "f_score": None, "loss": 0.5},
