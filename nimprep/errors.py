@@ -45,6 +45,10 @@ class StoreError(NimprepError, ValueError):
     """A store is missing, incomplete, damaged, of another version, or cannot be written."""
 
 
+class TrainingError(NimprepError, RuntimeError):
+    """A training cannot go on as it was asked for: no memory is left, or the numbers ran away."""
+
+
 class ClusterError(NimprepError, ConnectionError):
     """A Dask cluster is out of reach, or its workers cannot do the work."""
 

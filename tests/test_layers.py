@@ -38,6 +38,7 @@ LAYERS = [
     ["conversion"],
     ["report"],
     ["synthetic", "torch", "networks", "evaluation", "export"],
+    ["training"],
     ["cli"],
     ["__main__"],
 ]

@@ -64,11 +64,26 @@ def _crop(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
     return margins
 
 
+def _window(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    return value if value in (None, "none") else parse_numbers(value, "H,W", int)
+
+
+def _range(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    return None if value is None else parse_numbers(value, "low,high", float)
+
+
+def _parts(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    return tuple(value.split(",")) if value is not None and "," in value else value
+
+
 _PARSED: dict[str, Callable[..., Any]] = {
-    "crop": _crop,
+    "auto|T,B,L,R": _crop,
+    "H,W|none": _window,
+    "LOW,HIGH": _range,
+    "SETUP": _parts,
     "modalities": lambda ctx, param, value: None if value is None else value.split(","),
 }
-"""What is read in a way of its own."""
+"""What is read in a way of its own, by how it is written, or by its name."""
 
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="No progress bar.")
 
@@ -90,18 +105,35 @@ _allow_skipped = click.option(
 
 def options_from(made: Any) -> Callable[[Command], Command]:
     """Add the options of a dataclass, and those that go with them, to a command."""
-    # How the work is done comes last.
-    said = sorted(options_of(made).values(), key=lambda each: not each.counts)
+    said = _in_order(made)
     every = [_option(each) for each in said]
     every.insert([each.name for each in said].index("camera") + 1, _intrinsics_option)
-    every += [_allow_skipped, quiet_option]
+    return _all_of([*every, _allow_skipped, quiet_option])
 
+
+def options_alone(made: Any) -> Callable[[Command], Command]:
+    """Add the options of a dataclass, and --quiet, to a command."""
+    return _all_of([*map(_option, _in_order(made)), quiet_option])
+
+
+def _in_order(made: Any) -> list[Option]:
+    """Return options; how the work is done comes last."""
+    return sorted(options_of(made).values(), key=lambda each: not each.counts)
+
+
+def _all_of(every: Sequence[Callable[[Any], Any]]) -> Callable[[Command], Command]:
     def add(command: Command) -> Command:
         for each in reversed(every):
             command = each(command)
         return command
 
     return add
+
+
+def said_by(ctx: click.Context, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what was said on the command line, without what are defaults."""
+    line = click.core.ParameterSource.COMMANDLINE
+    return {n: value for n, value in given.items() if ctx.get_parameter_source(n) == line}
 
 
 class _Number(click.FloatRange):
@@ -146,7 +178,7 @@ def _option(said: Option) -> Callable[[Command], Command]:
         f"--{said.flag or name}",
         said.name,
         type=kind or next((kinds[t] for t in kinds if t in said.types), None),
-        callback=_PARSED.get(said.name),
+        callback=_PARSED.get(said.metavar or said.name),
         default=said.default,
         show_default=said.default is not None and "default:" not in said.help,
         metavar=said.metavar,
@@ -168,10 +200,15 @@ def options_given(made: Callable[..., Made], given: dict[str, Any]) -> Made:
     try:
         return made(**{**given, "camera": given["camera"] or intrinsics})
     except ArrayError as error:
-        name, _, rest = str(error).partition(": ")
-        said = options_of(made).get(name)
-        flag = (said and said.flag) or name.replace("_", "-")
-        raise click.UsageError(f"--{flag}: {rest}") from error
+        raise usage_error(error, made) from error
+
+
+def usage_error(error: ArrayError, made: Any) -> click.UsageError:
+    """Return what is said of a call with an option of a dataclass that is wrong."""
+    name, _, rest = str(error).partition(": ")
+    said = options_of(made).get(name)
+    flag = (said and said.flag) or name.replace("_", "-")
+    return click.UsageError(f"--{flag}: {rest}")
 
 
 def progress_bars(quiet: bool) -> Progress:
