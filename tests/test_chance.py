@@ -42,6 +42,7 @@ EXCEPT = {
     ("conversion/cluster.py", "time.sleep"): "between two looks for what comes surely",
     ("conversion/mortal.py", "os.fork"): "ended by the fixture `mortals`",
     ("hostile/fuzzing.py", "time.monotonic"): "ends a hunt, whose length is asked for",
+    ("training/killed.py", "os.fork"): "forked from this very process, and waited for",
     ("processes.py", "subprocess.Popen"): "here they are started and ended",
 }
 """Calls that stand where they must, with the reason."""
