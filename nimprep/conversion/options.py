@@ -8,7 +8,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, TypedDict
 
-from nimprep.derive.methods import Fill, Ground, Method
+from nimprep.derive.methods import ElevationRoad, Fill, Ground, Method
 from nimprep.derive.recipe import Recipe, RecipeOptions
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES, given_for, modality_name
@@ -158,6 +158,7 @@ class ConvertKeywords(RunKeywords, ReaderKeywords, total=False):
     sign_filter: bool
     noise: float | None
     hha_ground: Ground | None
+    elevation_road: ElevationRoad
     fill: Fill
     store_filled: bool
     depth_unit: float | str

@@ -18,6 +18,7 @@ from nimprep.kernels.planes import heights
 from nimprep.parallel import run_rows
 
 _HIGHEST_M = 1e9
+_FITTED = "fitted to the depth"
 
 
 def estimate_road_plane(depth_m: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:
@@ -159,8 +160,10 @@ def _checked(plane: Any, name: str) -> npt.NDArray[np.float64]:
 def make_elevation(given: Given) -> Made:
     """Make a frame's elevation, over the road of its calibration or of its depth; or none."""
     depth, frame = checked_depth(given.depth_m, given.frame.camera), given.frame
-    calibrated = None if frame.cam_to_road is None else road_plane(frame.cam_to_road)
-    plane = find_road_plane(depth, frame.camera) if calibrated is None else calibrated
+    if frame.cam_to_road is None or given.recipe.elevation_road == "fitted":
+        plane = find_road_plane(depth, frame.camera)
+    else:
+        plane = road_plane(frame.cam_to_road)
     if plane is None:
         return Made(None)
     return Made(estimate_elevation(depth, frame.camera, plane, num_threads=1))
@@ -169,4 +172,7 @@ def make_elevation(given: Given) -> Made:
 def describe_elevation(recipe: Recipe) -> dict[str, Any]:
     """Return what a store's attributes say of its elevation."""
     plane = "the road frame's y = 0 where a frame has cam_to_road, else fitted to the depth"
-    return {"method": "road-plane", "parameters": {"fill": recipe.fill, "plane": plane}}
+    # What is said of the default is what was said before there was a choice.
+    chosen = {"road": "fitted"} if recipe.elevation_road == "fitted" else {}
+    parameters = {"fill": recipe.fill, **chosen, "plane": _FITTED if chosen else plane}
+    return {"method": "road-plane", "parameters": parameters}

@@ -22,6 +22,11 @@ Ground = Literal["lowest", "floor"]
 
 GROUNDS: tuple[Ground, ...] = get_args(Ground)
 
+ElevationRoad = Literal["calibrated", "fitted"]
+"""Which road elevation is counted from, where a frame has both."""
+
+ELEVATION_ROADS: tuple[ElevationRoad, ...] = get_args(ElevationRoad)
+
 Fill = Literal["none", FillMethod]
 
 FILLS: tuple[Fill, ...] = get_args(Fill)

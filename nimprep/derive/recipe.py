@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from nimprep.depth_unit import MILLIMETRE, depth_unit_from
 from nimprep.derive.methods import FILLS as FILLS
-from nimprep.derive.methods import Fill, Ground, Method, check_method
+from nimprep.derive.methods import ElevationRoad, Fill, Ground, Method, check_method
 from nimprep.errors import ArrayError
 from nimprep.frame import VIRTUAL_BASELINE_M, Frame
 from nimprep.modality import MODALITIES
@@ -42,6 +42,11 @@ class RecipeOptions(Options):
         None,
         "Count HHA's heights from the floor, or from the lowest point as the reference; default: "
         "floor, datasets of rooms: lowest.",
+    )
+    elevation_road: ElevationRoad = option(
+        "calibrated",
+        "Count elevation from the road of a frame's calibration where it has one, or from the one "
+        "fitted to its depth.",
     )
     fill: Fill = option("none", "Fill holes in depth before normals and HHA are made from it.")
     store_filled: bool = option(False, "Store the filled depth, not the raw one.")
@@ -103,6 +108,9 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
         normals=normal["method"],
         sign_filter=bool(normal["parameters"].get("sign_filter", False)),
         hha_ground=modalities.get("hha", {}).get("parameters", {}).get("ground", "lowest"),
+        elevation_road=modalities.get("elevation", {})
+        .get("parameters", {})
+        .get("road", "calibrated"),
         fill=derived[0].get("fill", "none") if derived else stored.get("fill", "none"),
         store_filled="fill" in stored,
         depth_unit=modalities.get("depth", {}).get("unit_m", MILLIMETRE),

@@ -139,6 +139,9 @@ def _scale(modality: Modality, facts: Collected) -> ColorScale:
     else:
         low, high = depth_quantiles(facts, (0.01, 0.99))
     if modality.picture == "low and high":
+        # What tensors are cut to is what there is to see: beyond it small things have one colour.
+        least, most = modality.cut or (low, high)
+        low, high = max(low, least), min(high, most)
         low, high = (low, high) if low < high else (low - 0.5, low + 0.5)
         return ColorScale(low, high, unit)
     if not 0 < low < high:

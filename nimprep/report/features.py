@@ -11,14 +11,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.methods import GROUNDS, METHODS
+from nimprep.derive.methods import ELEVATION_ROADS, GROUNDS, METHODS
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
 
 Values = npt.NDArray[np.float32]
 
-CHOICES: dict[str, tuple[str, ...]] = {"normals": METHODS, "hha_ground": GROUNDS}
+CHOICES: dict[str, tuple[str, ...]] = {
+    "normals": METHODS,
+    "hha_ground": GROUNDS,
+    "elevation_road": ELEVATION_ROADS,
+}
 """Options of a recipe whose every choice is looked at, where a modality depends on it."""
 
 
@@ -31,8 +35,10 @@ class Source:
     modality : Modality
     recipe : Recipe, optional
         How it is made; None = it is there already.
-    label : str
-        The modality's title, and in parentheses the choices that it depends on.
+    title : str
+        The modality's.
+    choices : str
+        Those that it depends on, as they were or are made.
     added : str
         What `--modalities` has to name besides what is there; "" = nothing.
     options : str
@@ -41,9 +47,15 @@ class Source:
 
     modality: Modality
     recipe: Recipe | None
-    label: str
+    title: str
+    choices: str = ""
     added: str = ""
     options: str = ""
+
+    @property
+    def label(self) -> str:
+        """The title, and the choices in parentheses."""
+        return f"{self.title} ({self.choices})" if self.choices else self.title
 
 
 def sources(there: Mapping[str, Modality], base: Recipe) -> list[Source]:
@@ -63,9 +75,10 @@ def sources(there: Mapping[str, Modality], base: Recipe) -> list[Source]:
         modality = there.get(name, modality)
         if modality.values == "classes":
             continue
+        title = modality.title or name.replace("_", " ").capitalize()
         fields = _fields(modality, plain) if modality.derived else []
         if name in there:
-            found.append(Source(modality, None, _label(modality, base, fields)))
+            found.append(Source(modality, None, title, _chosen(base, fields)))
         if modality.derived is None or not set(modality.derived.made_from) <= set(there):
             continue
         for recipe in _variants(plain, fields):
@@ -74,8 +87,8 @@ def sources(there: Mapping[str, Modality], base: Recipe) -> list[Source]:
                 continue
             words = [f"--{field.replace('_', '-')} {value}" for field, value in kept.items()]
             added = "" if name in there else name.replace("_", "-")
-            label = _label(modality, recipe, fields)
-            found.append(Source(modality, recipe, label, added, " ".join(words)))
+            chosen = _chosen(recipe, fields)
+            found.append(Source(modality, recipe, title, chosen, added, " ".join(words)))
     return found
 
 
@@ -104,10 +117,8 @@ def _variants(recipe: Recipe, fields: list[str]) -> list[Recipe]:
     return found
 
 
-def _label(modality: Modality, recipe: Recipe, fields: list[str]) -> str:
-    title = modality.title or modality.name.replace("_", " ").capitalize()
-    chosen = ", ".join(str(getattr(recipe, field)) for field in fields)
-    return f"{title} ({chosen})" if chosen else title
+def _chosen(recipe: Recipe, fields: list[str]) -> str:
+    return ", ".join(str(getattr(recipe, field)) for field in fields)
 
 
 def image_of(source: Source, frame: Frame) -> npt.NDArray[Any] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -312,9 +312,16 @@ def _rows(
     rows: dict[object, Row] = {}
     for (number, name), lists in found.items():
         row = _row(looked[number], name, lists, counts[number, name], others)
-        # A choice that a number does not depend on is no second number.
-        rows.setdefault((row.modality, name, row.scores), row)
+        first = rows.setdefault((row.modality, name, row.scores), row)
+        if first is not row:
+            # A choice that makes no difference here is none.
+            same = replace(first, name=_named(looked[number].title, name), options="")
+            rows[row.modality, name, row.scores] = same
     return tuple(sorted(rows.values(), key=lambda row: -row.rank))
+
+
+def _named(label: str, number: str) -> str:
+    return f"{label}: {number}" if number else label
 
 
 def _row(
@@ -325,7 +332,7 @@ def _row(
     others: Sequence[int],
 ) -> Row:
     return Row(
-        f"{source.label}: {name}" if name else source.label,
+        _named(source.label, name),
         source.modality.name,
         source.recipe is None,
         source.added,

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nimprep import Camera, estimate_elevation, estimate_road_plane, road_plane
+from nimprep.derive.modalities import Recipe, derive, recipe_from
 from nimprep.errors import ArrayError
+from nimprep.frame import Frame
 from nimprep.readers import open_reader
 from nimprep.synthetic import render_frame
 from tests.derive.roads import CAMERA, ROADS, plane_of, rays, road_depth, with_boards
@@ -113,6 +115,21 @@ def test_the_roads_of_real_frames_are_near_0(reference_data):
                 found = estimate_road_plane(frame.depth_m, frame.camera)
                 assert np.degrees(np.arccos(found[:3] @ given[:3])) < 2.5, name
                 assert found[3] == pytest.approx(given[3], abs=0.12), name
+
+
+def test_a_recipe_says_which_road_where_a_frame_has_two():
+    plane = plane_of(*ROADS["flat"])
+    depth = road_depth(plane).astype(np.float32)
+    # The calibration's road lies half a metre lower than what the depth shows.
+    to_road = np.array([[1, 0, 0, 0], [*-plane[:3], -plane[3] - 0.5], [0, 0, 1, 0]])
+    frame = Frame("a", CAMERA, depth_m=depth, cam_to_road=to_road)
+    for road, height in (("calibrated", 0.5), ("fitted", 0.0)):
+        recipe = Recipe(elevation_road=road)
+        image = derive(frame, None, ("elevation",), recipe).images["elevation"]
+        assert np.nanmedian(image) == pytest.approx(height, abs=1e-3)
+        described = recipe.describe("elevation")
+        assert ("road" in described["parameters"]) == (road == "fitted")
+        assert recipe_from({"elevation": described}).elevation_road == road
 
 
 ONES = np.ones((180, 240))

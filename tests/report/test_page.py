@@ -419,3 +419,18 @@ def test_a_damaged_store_is_one_line(tmp_path: Path) -> None:
 
 def test_sizes_are_as_in_the_fakes() -> None:
     assert (HEIGHT, WIDTH) == (24, 32)
+
+
+def test_numbers_that_tensors_cut_are_drawn_within_that_range(tmp_path: Path) -> None:
+    names = ("rgb", "depth", "elevation", "transformed_disparity")
+    store = nimprep.open_store(gmrp_store(tmp_path, frames=2, modalities=names))
+    facts = collect(store)
+    facts.pooled["elevation"][:] = np.linspace(-20, 50, facts.pooled["elevation"].shape[1])
+    facts.pooled["transformed_disparity"][:] = np.linspace(-1, 3, 256)
+    looks = Artist(store, facts).looks
+    scale, narrow = looks["elevation"].scale, looks["transformed_disparity"].scale
+    assert scale is not None
+    assert narrow is not None
+    assert (scale.low, scale.high, scale.unit) == (-4, 4, "m")
+    assert (narrow.low, narrow.high) == pytest.approx((-0.96, 2.96), abs=0.01)
+    assert narrow.unit == "pixel"

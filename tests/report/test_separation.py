@@ -59,8 +59,8 @@ def areas_by_label(frame: Frame, *others: int) -> dict[str, dict[int, float]]:
 
 def test_what_stands_on_a_road_is_told_by_its_height_without_a_mistake() -> None:
     found = areas_by_label(road_frame(), 2)
-    assert found["Elevation: "][2] == pytest.approx(0, abs=0.02)  # the road is the lower one
-    assert found["Elevation: size without sign"][2] == pytest.approx(0, abs=0.03)
+    assert found["Elevation (fitted): "][2] == pytest.approx(0, abs=0.02)
+    assert found["Elevation (fitted): size without sign"][2] == pytest.approx(0, abs=0.03)
     assert found["Colour: brightness"][2] == 0
     assert found["Normals (nim-edge): angle to the road's median"][2] < 0.05
     # Depth alone tells little: the road goes on at both sides of the board's distance.
@@ -110,6 +110,16 @@ def test_numbers_of_each_kind_say_where_there_are_none() -> None:
     depth = numbers_of(MODALITIES["depth"], np.array([0, 3], np.float32), road)[""]
     assert np.isnan(depth[0])
     assert depth[1] == 3
+
+
+def test_a_choice_that_makes_no_difference_is_one_row(folder: Folder) -> None:
+    rows = {row.name: row for row in measured(folder.store()).rows}
+    # These frames have no calibrated road, so that there is one road only.
+    assert "Elevation: size without sign" in rows
+    assert rows["Elevation"].options == ""
+    assert not any("fitted" in name or "calibrated" in name for name in rows)
+    # Of HHA the height depends on the ground, the disparity does not.
+    assert rows["HHA: horizontal disparity"].stored
 
 
 def test_pixels_are_spread_evenly_and_no_more_than_asked_for() -> None:
@@ -238,19 +248,19 @@ def test_elevation_tells_most_on_real_frames(reference_data: Path) -> None:
     [gmrp] = open_reader(reference_data / "gmrp").ids
     frame = open_reader(reference_data / "gmrp").read(gmrp, MEASURED)
     found = areas_by_label(frame, 0, 2)
-    size = {c: 1 - area for c, area in found["Elevation: size without sign"].items()}
+    size = {c: 1 - area for c, area in found["Elevation (fitted): size without sign"].items()}
     assert size[2] == pytest.approx(0.957, abs=0.004)
     assert size[0] > 0.98
-    assert size[2] > 1 - found["Elevation: "][2] + 0.01
+    assert size[2] > 1 - found["Elevation (fitted): "][2] + 0.01
     assert size[2] > max(found["Colour: brightness"][2], 1 - found["Colour: brightness"][2]) + 0.01
     reader = open_reader(reference_data / "kitti_road")
     for name, expected in (("training/um_000000", 0.925), ("training/umm_000000", 0.909)):
-        frame = replace(reader.read(name, MEASURED), cam_to_road=None)
-        found = areas_by_label(frame, 0)
-        assert 1 - found["Elevation: size without sign"][0] == pytest.approx(expected, abs=0.006)
-        assert 1 - found["Elevation: "][0] > max(
-            max(a, 1 - a) for a in (found["Depth: "][0], found["Colour: brightness"][0])
-        )
+        found = areas_by_label(reader.read(name, MEASURED), 0)
+        size = 1 - found["Elevation (fitted): size without sign"][0]
+        assert size == pytest.approx(expected, abs=0.006)
+        signed = 1 - found["Elevation (fitted): "][0]
+        assert signed > 1 - found["Elevation (calibrated): "][0] + 0.03
+        assert signed > size + 0.02
 
 
 def test_the_page_and_the_command_say_it(folder: Folder, tmp_path: Path) -> None:
