@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from nimprep.depth_unit import MILLIMETRE, DepthNumbers
 from nimprep.doubts.raw import check_byte_order, raw_signs
-from nimprep.errors import DecodeError, OptionError
+from nimprep.errors import DecodeError, NimprepError, OptionError
 from nimprep.images import read_plane
 from nimprep.readers.cameras import GivenCamera
 from nimprep.readers.depth_units import Unit, checked_metres
@@ -79,7 +79,8 @@ def depth_numbers(
 def _dtype(source: DepthSource, places: Iterable[Place]) -> np.dtype[Any] | None:
     """Return the type of depth's raw numbers, by the first whole file; None = there is none."""
     for place in islice(places, _LOOKED_AT):
-        with suppress(DecodeError):
+        # What is wrong with it, or with what reads it, is said when the frame is read.
+        with suppress(NimprepError):
             return raw_depth(place, source).dtype
     return None
 
