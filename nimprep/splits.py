@@ -36,6 +36,16 @@ def are_categories(dataset: str, rule: str) -> bool:
     return rule == "eighth" or dataset in _OF_CATEGORIES
 
 
+def check_scenes(dataset: str, rule: str, groups: Iterable[str]) -> None:
+    """Raise `SplitError` where whole scenes are to be split, and groups are categories."""
+    if rule == "group" and dataset in _OF_CATEGORIES:
+        known = ", ".join(sorted({*groups} - {""}))
+        raise SplitError(
+            f"split by group: expected scenes, found that {known} are categories of {dataset}, "
+            "which each split is to have; use --split-by eighth, stratified or frame"
+        )
+
+
 def held_out_count(total: int) -> int:
     """Return the size of val, and of test: min(ceil(0.15 N), floor(N / 3))."""
     return min(math.ceil(15 * total / 100), total // 3)

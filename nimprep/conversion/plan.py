@@ -24,7 +24,7 @@ from nimprep.readers import Reader
 from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.readers.given_splits import files_of_frames, given_splits
 from nimprep.schema import load_schema, schema_problems
-from nimprep.splits import SPLITS, SplitName, SplitRule, assign_splits
+from nimprep.splits import SPLITS, SplitName, SplitRule, assign_splits, check_scenes
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.depth_loss import joined_loss
 from nimprep.store.spec import format_of
@@ -289,6 +289,7 @@ def plan_splits(reader: Reader, options: ConvertOptions, ids: Sequence[str]) -> 
     none = of_no_split(reader, ids)
     groups = {i: reader.group(i) for i in ids if i not in none}
     rule = split_rule(reader, options)
+    check_scenes(reader.info.name, rule, groups.values())
     assigned = none | assign_splits(groups, rule, options.seed, fixed_splits(reader, ids))
     return [assigned[i] for i in ids]
 

@@ -20,6 +20,7 @@ from nimprep.camera import MAX_BASELINE_M, Camera
 from nimprep.errors import CameraError, DecodeError
 from nimprep.files import read_file
 from nimprep.folders import place_of
+from nimprep.kitti.layout import image_of
 
 Matrix = npt.NDArray[np.float64]
 
@@ -131,6 +132,11 @@ class Calibration:
         return baseline_m
 
     @property
+    def has_road(self) -> bool:
+        """Whether the file says where the road is."""
+        return "Tr_cam_to_road" in self.matrices
+
+    @property
     def cam_to_road(self) -> Matrix:
         """(3, 4), metres: from the image_2 camera to the road frame.
 
@@ -226,7 +232,7 @@ def frame_shape(calibration: Calibration) -> tuple[int, int] | None:
     from nimprep.images import read_header
 
     folder = place_of(calibration.path.parent).parent
-    image = folder / "image_2" / f"{calibration.path.stem}.png"
+    image = image_of(folder / "image_2", calibration.path.stem)
     if image.is_file():
         header = read_header(image)
         return header.height, header.width

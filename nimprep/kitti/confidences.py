@@ -7,14 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import LayoutError
 from nimprep.kitti.images import read_confidence, read_grey
-from nimprep.kitti.layout import SPLIT_FOLDERS
 from nimprep.kitti.names import (
     FRAME_GRAMMAR,
     GRAMMAR,
@@ -99,7 +98,7 @@ def confidence_files(folder: Path, half: Half | None) -> list[Path]:
             f"{folder}: expected a folder of {GRAMMAR} or {FRAME_GRAMMAR}.png, found none; "
             "give the predictions' folder"
         )
-    halves = {h: files for h in SPLIT_FOLDERS if (files := _files_of(folder / h))}
+    halves = {h: files for h in get_args(Half) if (files := _files_of(folder / h))}
     if half is None and len(halves) > 1:
         raise LayoutError(
             f"{folder}: expected predictions of training or of testing frames, found both; "

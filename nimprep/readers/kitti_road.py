@@ -10,6 +10,9 @@ data_road/
     velodyne/um_000000.bin           optional: laser scan (data_road_velodyne.zip)
     image_3/um_000000.png            optional: right colour camera (data_road_right.zip)
   testing/                           the same without gt_image_2
+  validation/ or validating/         optional: as training, held out by somebody
+
+Images may have other endings: what is lossless for labels and depth, any for colour.
 """
 
 from __future__ import annotations
@@ -38,7 +41,26 @@ from nimprep.kitti.layout import RoadFiles, list_road_files
 from nimprep.kitti.names import TARGETS, DepthFrom, Target, frame_category
 from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
+from nimprep.readers.description import Reference
 from nimprep.splits import SplitName
+
+_BENCHMARK: dict[str, SplitName] = {"testing": "test"}
+
+_HELD_OUT: dict[str, SplitName] = {
+    **_BENCHMARK,
+    "training": "train",
+    "validation": "val",
+    "validating": "val",
+}
+
+REFERENCE = Reference(
+    title="KITTI road benchmark",
+    licence="CC BY-NC-SA 3.0",
+    citation="J. Fritsch, T. Kuehnl and A. Geiger. A New Performance Measure and Evaluation "
+    "Benchmark for Road Detection Algorithms. ITSC 2013.",
+    paper="https://doi.org/10.1109/ITSC.2013.6728473",
+    url="https://www.cvlibs.net/datasets/kitti/eval_road.php",
+)
 
 
 def _classes(target: Target) -> tuple[LabelClass, ...]:
@@ -51,7 +73,8 @@ def _classes(target: Target) -> tuple[LabelClass, ...]:
 class KittiRoadReader(ReaderBase):
     """Read KITTI road frames; ids are ``training/um_000000``, groups the categories.
 
-    An eighth of each category's training frames is for val (of all 289: 253 train, 36 val; in the
+    Where there is a folder validation or validating, its frames are val and training's train. Else
+    an eighth of each category's training frames is for val (of all 289: 253 train, 36 val; in the
     order of their names the last 36 would all be uu); the testing frames are the test split.
 
     Depth is depth_u16 where it is there, else the LiDAR scan, else stereo, both interpolated
@@ -68,6 +91,8 @@ class KittiRoadReader(ReaderBase):
         Which ground truth; lane takes the um frames alone.
     depth : bool
         Whether depth will be read; if not, nothing need be there for it.
+    official : bool
+        Keep the split by a folder for validation; if not, testing frames keep theirs alone.
     depth_from : {"auto", "lidar", "stereo"}
         Where it comes from.
     sparse : bool
@@ -89,6 +114,7 @@ class KittiRoadReader(ReaderBase):
         depth: bool = True,
         depth_from: DepthFrom = "auto",
         sparse: bool = False,
+        official: bool = True,
     ) -> None:
         self.root = Path(root)
         self._labels, self._target, self._sparse = labels, target, sparse
@@ -109,9 +135,17 @@ class KittiRoadReader(ReaderBase):
         if len(self._lacking) == len(self._files):
             raise LayoutError(self._lacking[min(self._lacking)])
         self.ids = tuple(sorted(self._files))
-        classes = _classes(target) if labels else ()
-        numbers = DepthNumbers(certain=True)
-        self.info = DatasetInfo("kitti-road", classes, "file", split_by="eighth", depth=numbers)
+        there = {files.split for files in self._files.values()}
+        held_out = official and not there.isdisjoint(("validation", "validating"))
+        self._splits = _HELD_OUT if held_out else _BENCHMARK
+        self.info = DatasetInfo(
+            "kitti-road",
+            _classes(target) if labels else (),
+            "file",
+            split_by="eighth",
+            depth=DepthNumbers(certain=True),
+            reference=REFERENCE,
+        )
 
     def _add(self, files: RoadFiles, depth_from: DepthFrom | None) -> None:
         self._files[files.id] = files
@@ -147,8 +181,8 @@ class KittiRoadReader(ReaderBase):
         return frame_category(self._files[frame_id].name) or ""
 
     def fixed_split(self, frame_id: str) -> SplitName | None:
-        """Return "test" for the benchmark's testing frames, None for the others."""
-        return "test" if self._files[frame_id].split == "testing" else None
+        """Return "test" for testing frames; of others what a folder for validation says."""
+        return self._splits.get(self._files[frame_id].split)
 
     def depth_source(self, frame_id: str) -> DepthOrigin | None:
         """Return where the frame's depth comes from; None = depth is not read."""
@@ -202,7 +236,7 @@ class KittiRoadReader(ReaderBase):
             label=self._label(files, shape) if self._labels and "label" in modalities else None,
             group=self.group(frame_id),
             baseline_m=calibration.baseline_m if "P3" in calibration.matrices else float("nan"),
-            cam_to_road=calibration.cam_to_road,
+            cam_to_road=calibration.cam_to_road if calibration.has_road else None,
         )
 
     def _label(self, files: RoadFiles, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:

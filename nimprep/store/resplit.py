@@ -11,7 +11,7 @@ import numpy as np
 
 from nimprep.errors import StoreError
 from nimprep.readers.given_splits import given_splits
-from nimprep.splits import SPLIT_CODES, SplitName, SplitRule, assign_splits
+from nimprep.splits import SPLIT_CODES, SplitName, SplitRule, assign_splits, check_scenes
 from nimprep.store.attributes import PastSplit, Split, StoreAttributes
 from nimprep.store.checksums import chunk_checksum
 from nimprep.store.location import Place
@@ -74,6 +74,7 @@ def _resplit(
             last = about.split["rule"]
             rule = "frame" if last == "file" else last
         groups = dict(zip(store.ids, store.tables.group, strict=True))
+        check_scenes(about.dataset, rule, groups.values())
         splits = dict(assign_splits(groups, rule, seed, fixed))
         described = {"rule": rule, "seed": seed}
     _write(store.storage, replace(about, split=described), about.split, splits)
