@@ -161,7 +161,8 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
     made.holdings = found.holdings
     for store in survey.stores:
         made.notes.append(f"{store} is a store, which is not looked into; nimprep info says more")
-    fitting = fitting_reader(survey.root) if made.source == survey.root else None
+    whole = made.source == survey.root
+    fitting = fitting_reader(survey.root, made.notes) if whole else None
     for plane in sorted_depth(found.of_kind(Kind.DEPTH, Kind.DISPARITY)):
         made.depth.append((plane, depth_encodings(found, plane)))
     near = None if fitting else nearby_dataset(made.source, is_known)

@@ -7,7 +7,7 @@ from typing import Any
 
 from nimprep.errors import LayoutError, NimprepError
 from nimprep.readers import READERS, ReaderName, ReaderOptions, open_reader
-from nimprep.readers.named import described
+from nimprep.readers.named import description_in
 from nimprep.readers.recognition import known_by_files, place_of
 from nimprep.readers.signs import Listings
 
@@ -27,19 +27,23 @@ MOST_FOLDERS = 400
 
 def description_of(name: ReaderName, root: Path) -> dict[str, Any] | None:
     """Return the description of a dataset known by name, as it is in a folder; None = has none."""
-    layout, listings = READERS[name], Listings()
+    layout = READERS[name]
     if layout.dataset is None:
         return None
-    place = place_of(layout, root, listings) or root
-    return {**described(layout.dataset.found(place, listings))}
+    return description_in(layout.dataset, root, place_of(layout, root, Listings()) or root)
 
 
-def fitting_reader(root: Path) -> tuple[ReaderName, int] | None:
+def fitting_reader(root: Path, notes: list[str]) -> tuple[ReaderName, int] | None:
     """Return the reader that opens a folder as it is, and its number of frames; None = none.
 
-    A reader's folders alone do not tell: TUM's rgb/ is GMRP's too.
+    A reader's folders alone do not tell: TUM's rgb/ is GMRP's too. What keeps a dataset that is
+    known by its files from being opened is added to the notes.
     """
-    known = known_by_files(root, Listings())
+    try:
+        known = known_by_files(root, Listings())
+    except LayoutError as error:
+        notes.append(str(error))
+        return None
     for name, layout in READERS.items():
         if known is not None and name != known.reader:
             continue
@@ -51,6 +55,7 @@ def fitting_reader(root: Path) -> tuple[ReaderName, int] | None:
                 if reader.ids:
                     reader.shape(reader.ids[0])
                     return name, len(reader.ids)
-            except NimprepError:
-                continue
+            except NimprepError as error:
+                if known is not None and labels:
+                    notes.append(f"files of {name}, but {error}")
     return None

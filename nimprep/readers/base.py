@@ -12,7 +12,7 @@ from nimprep.derive.methods import Ground
 from nimprep.frame import Frame, LabelClass
 from nimprep.images import read_header
 from nimprep.modality import MODALITIES, Modality
-from nimprep.readers.description import Reference
+from nimprep.readers.reference import Reference
 from nimprep.splits import SplitName, SplitRule
 
 OfficialSplit = SplitName | Literal["none"]

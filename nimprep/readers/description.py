@@ -6,13 +6,14 @@ schemas/folder.schema.json says the same of a JSON file, name by name, with what
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from nimprep.derive.methods import Ground
 from nimprep.frame import LabelClass
 from nimprep.images import Layout, OrientationRule, Raw
+from nimprep.readers.reference import Reference
 from nimprep.splits import SplitName
 
 MOST_SCALE_M = 1000
@@ -236,33 +237,6 @@ class Match:
     lists: Mapping[str, str] = field(default_factory=dict)
     pairs: str | None = None
     columns: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reference:
-    """Say whose a dataset is: what to respect and to cite; "" = not said.
-
-    Attributes
-    ----------
-    title : str
-    licence : str
-    citation : str
-        A reference, or BibTeX.
-    paper : str
-        Its DOI or address.
-    url : str
-        Where the dataset is had from.
-    """
-
-    title: str = ""
-    licence: str = ""
-    citation: str = ""
-    paper: str = ""
-    url: str = ""
-
-    def to_json(self) -> dict[str, str]:
-        """Return what is said."""
-        return {name: value for name, value in asdict(self).items() if value}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,11 +21,11 @@ from nimprep.readers.description import (
     LabelSource,
     Match,
     PlaneSource,
-    Reference,
     SplitSource,
     metres_per_unit,
 )
 from nimprep.readers.label_map import check_classes, with_map
+from nimprep.readers.reference import Reference
 from nimprep.schema import check_json, load_schema, read_json
 from nimprep.schema_wording import alike
 

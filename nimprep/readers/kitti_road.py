@@ -41,7 +41,7 @@ from nimprep.kitti.layout import RoadFiles, list_road_files
 from nimprep.kitti.names import TARGETS, DepthFrom, Target, frame_category
 from nimprep.modality import MODALITIES
 from nimprep.readers.base import DatasetInfo, ReaderBase
-from nimprep.readers.description import Reference
+from nimprep.readers.reference import Reference
 from nimprep.splits import SplitName
 
 _BENCHMARK: dict[str, SplitName] = {"testing": "test"}

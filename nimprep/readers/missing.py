@@ -48,13 +48,7 @@ def judged(
             lost = [i for i in lost if splits.get(i) not in none]
             notes += [f"none of the frames of split {split} has {name}" for split in sorted(none)]
         if source.missing in ("error", "split"):
-            for i in lost:
-                # Paired in another way, its name does not follow from colour's.
-                known = {} if description.match else {"id": i, **matched.captured[i]}
-                path = _expected(source.files, known)
-                told = f"{root / path}: expected {name} of frame {i!r}, found none"
-                # The first is the one that ends a conversion, and looking costs.
-                lacking.setdefault(i, told if lacking else told + _other_ending(root / path))
+            _add_lacking(root, description, matched, (name, source), lost, lacking)
         elif source.missing == "skip":
             left_out.update(lost)
         else:
@@ -68,6 +62,25 @@ def judged(
         raise LayoutError(f"{root}: expected frames, found none that has every image; {reason}")
     left = {i: message for i, message in lacking.items() if i not in left_out}
     return replace(matched, ids=ids, lacking=left, notes=(*matched.notes, *notes))
+
+
+def _add_lacking(
+    root: Path,
+    description: Description,
+    matched: Matched,
+    kind: tuple[str, PlaneSource],
+    lost: Collection[str],
+    lacking: dict[str, str],
+) -> None:
+    """Add why the frames that lost a kind of image are bad, to those that are already."""
+    name, source = kind
+    for i in lost:
+        # Paired in another way, its name does not follow from colour's.
+        known = {} if description.match else {"id": i, **matched.captured[i]}
+        path = _expected(source.files, known)
+        told = f"{root / path}: expected {name} of frame {i!r}, found none"
+        # The first is the one that ends a conversion, and looking costs.
+        lacking.setdefault(i, told if lacking else told + _other_ending(root / path))
 
 
 def _unlabelled(

@@ -79,7 +79,7 @@ def open_named(
     description = _without_labels_of_test(root, description, listings)
     _check_unpacked(root, description, found, listings, given=camera is not None)
     description = _with_lists(root, description, found, lists, listings)
-    keywords = {
+    keywords: dict[str, Any] = {
         "labels": labels,
         "camera": camera,
         "depth_scale": depth_scale,
@@ -89,10 +89,22 @@ def open_named(
         "official": official,
         "depth": depth,
     }
-    if "code" not in found.document:
-        return FolderReader(root, description, **keywords)  # type: ignore[arg-type]
-    opened = resolve_name(found.document["code"])
-    own = {**chosen, "label_set": label_set, "lists": lists}
+    return _opened(
+        root, description, found, keywords, {**chosen, "label_set": label_set, "lists": lists}
+    )
+
+
+def _opened(
+    root: Path,
+    description: Description,
+    dataset: Dataset,
+    keywords: Mapping[str, Any],
+    own: Mapping[str, Any],
+) -> Reader:
+    """Return the reader: of any folder, or the dataset's code, with what of `own` that takes."""
+    if "code" not in dataset.document:
+        return FolderReader(root, description, **keywords)
+    opened = resolve_name(dataset.document["code"])
     taken = {name: own[name] for name in own if name in signature(opened).parameters}
     reader: Reader = opened(root, description, **keywords, **taken)
     return reader
@@ -143,6 +155,38 @@ def described(
         if "placeholder" in said and (values := _values(chosen.get(name), said)) is not None
     }
     return {**document, **({"only": only} if only else {})}
+
+
+def description_in(dataset: Dataset, root: Path, place: Path) -> dict[str, Any]:
+    """Return a dataset's description as one for a folder that it lies in, to be written and edited.
+
+    Parameters
+    ----------
+    root : Path
+        The folder.
+    place : Path
+        In which the dataset lies: it, or one within it.
+    """
+    listings = Listings()
+    document = described(dataset.found(place, listings))
+    split = document.get("split")
+    if "lists" in dataset.options and isinstance(split, dict) and "lists" in split:
+        there = {n: f for n, f in split["lists"].items() if listings.find(place, f) is not None}
+        document["split"] = {**split, "lists": there} if there else False
+    inner = place.relative_to(root).as_posix()
+    return document if inner == "." else {k: _below(inner, k, v) for k, v in document.items()}
+
+
+_PATTERNS = frozenset({"rgb", "camera", "files", "pairs"})
+"""Keys of a description whose value, where it is text, is a pattern."""
+
+
+def _below(inner: str, key: str, value: Any) -> Any:
+    """Return what a description says, its patterns being below a folder within."""
+    if isinstance(value, Mapping):
+        lists = key == "lists"
+        return {k: _below(inner, "files" if lists else k, v) for k, v in value.items()}
+    return f"{inner}/{value}" if key in _PATTERNS and isinstance(value, str) else value
 
 
 def _default_notes(dataset: Dataset, chosen: Mapping[str, Any]) -> Iterator[str]:

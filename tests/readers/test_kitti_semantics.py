@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nimprep.errors import DecodeError, LayoutError
+from nimprep.inspection.inspection import inspect_source
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.recognition import recognised
 from tests.fakes import write_png
@@ -128,5 +129,9 @@ def test_the_road_benchmark_is_none_of_it(tmp_path: Path) -> None:
     assert recognised(write_kitti(tmp_path / "a")).reader == "kitti-semantics"
     assert recognised(road_folder(tmp_path / "b", ("um_000010",))).reader == "kitti-road"
     road_folder(tmp_path / "a", ("um_000010",))
-    with pytest.raises(LayoutError, match="found those of kitti-road and kitti-semantics"):
+    said = "found those of kitti-road and kitti-semantics"
+    with pytest.raises(LayoutError, match=said):
         recognised(tmp_path / "a")
+    assert any(said in note for note in inspect_source(tmp_path / "a").notes)
+    meant = open_reader(tmp_path / "a", ReaderOptions(reader="kitti-semantics"))
+    assert len(meant.ids) == 6

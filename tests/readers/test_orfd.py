@@ -178,6 +178,29 @@ def test_inspect_names_it_and_its_description_reads_the_same(orfd: Path, tmp_pat
     assert described.info == named.info
 
 
+def test_a_description_that_is_written_is_of_the_folder_that_was_looked_at(
+    orfd: Path, tmp_path: Path
+) -> None:
+    outer = tmp_path / "download"
+    shutil.move(orfd, outer / "Final_Dataset")
+    found = inspect_source(outer)
+    assert found.description is not None
+    assert found.description["rgb"].startswith("Final_Dataset/{split}/")
+    (tmp_path / "d.json").write_text(json.dumps(found.description))
+    described = open_reader(outer, ReaderOptions(description=tmp_path / "d.json"))
+    assert described.ids == open_reader(outer).ids
+    assert (
+        described.read(described.ids[0]).camera == open_reader(outer).read(described.ids[0]).camera
+    )
+
+
+def test_inspect_says_what_keeps_it_from_being_read(orfd: Path) -> None:
+    for path in sorted(orfd.glob("*/*/dense_depth")):
+        shutil.rmtree(path)
+    notes = inspect_source(orfd).notes
+    assert any("files of orfd, but " in n and "unpack the folders dense_depth" in n for n in notes)
+
+
 def test_the_real_frame_reads(reference_data: Path) -> None:
     root = reference_data / "orfd"
     reader = open_reader(root)
