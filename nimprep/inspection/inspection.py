@@ -18,7 +18,7 @@ from nimprep.inspection.encodings import Encoding
 from nimprep.inspection.examination import Examination, Plane, examined
 from nimprep.inspection.holdings import Holding, holding_at
 from nimprep.inspection.kinds import Kind
-from nimprep.inspection.layouts import description_of, fitting_reader, is_known
+from nimprep.inspection.layouts import description_of, fitting_reader, is_known, reader_of_names
 from nimprep.inspection.survey import Survey, survey_folder
 from nimprep.readers import ReaderName
 from nimprep.readers.description_file import description_from_document
@@ -141,7 +141,8 @@ def _reader_in(names: Sequence[str]) -> str:
         return "GMRP's layout"
     if "/gt_image_2/" in f"/{text}" or "training/image_2/" in text:
         return "KITTI road's layout"
-    return ""
+    known = reader_of_names(names)
+    return f"files of the dataset {known}" if known else ""
 
 
 def _look_at_store(made: Inspection) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,19 @@ def is_known(folder: Path) -> bool:
     except LayoutError:
         # Of several.
         return True
+
+
+def reader_of_names(names: Iterable[str]) -> ReaderName | None:
+    """Return the reader whose signs are among the names in an archive, or in a folder of it."""
+    listings = Listings.of_names(names)
+    for folder in (Path(), *(Path(name) for name in listings.of(".").folders)):
+        try:
+            known = known_by_files(folder, listings)
+        except LayoutError:
+            continue
+        if known is not None:
+            return known.reader
+    return None
 
 
 MOST_FOLDERS = 400

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zipfile
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from click.testing import CliRunner
 import nimprep
 from nimprep.cli import main
 from nimprep.errors import ArrayError, LayoutError, OptionError
+from nimprep.inspection.inspection import inspect_source
+from nimprep.inspection.layouts import reader_of_names
 from nimprep.readers import READERS, ReaderOptions, open_reader
 from nimprep.readers.datasets import DATASETS, FLAGS, FOLDER, Dataset, merged
 from nimprep.readers.description_file import description_from_document
@@ -25,6 +28,7 @@ from nimprep.readers.recognition import recognised
 from nimprep.readers.signs import Listings, expanded
 from nimprep.schema import schema_problems
 from tests.fakes import write_gmrp, write_png
+from tests.kitti.scenes import road_folder
 from tests.scenes import scene
 
 ROOT = Path(nimprep.__file__).parent.parent
@@ -197,6 +201,33 @@ def test_a_folder_is_read_once_however_many_signs_ask_for_it(tmp_path: Path) -> 
             listings.has(tmp_path, sign)
     assert len(listings._known) <= 2
     assert {*counted} <= {str(tmp_path), str(tmp_path / "rgb")}
+
+
+@pytest.mark.parametrize("top", ["", "download/"])
+def test_an_archive_is_known_by_the_names_in_it(tmp_path: Path, top: str) -> None:
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for folder, end in (("image_data", ".png"), ("calib", ".txt")):
+            archive.writestr(f"{top}training/s/{folder}/1{end}", "")
+    assert "files of the dataset orfd" in inspect_source(path).what
+    assert reader_of_names(["a/b.png", "c.txt"]) is None
+
+
+@pytest.mark.filterwarnings("ignore:.*padded to the largest")
+def test_whose_frames_a_merged_store_has_is_said_once_each(tmp_path: Path) -> None:
+    stores = []
+    for name in ("a", "b"):
+        root = tmp_path / name
+        write_png(root / "training" / name / "image_data" / "1.png", scene(1).rgb)
+        put(root, f"training/{name}/sparse_depth/1.png")
+        only = {"labels": False, "modalities": ("rgb",), "camera": (30, 30, 17, 11)}
+        stores.append(nimprep.convert(root, tmp_path / f"{name}.zarr", **only).path)
+    road = road_folder(tmp_path / "road", ("um_000000",))
+    made = nimprep.convert(road, tmp_path / "r.zarr", labels=False, modalities=("rgb",))
+    merged_store = nimprep.merge_stores([*stores, made.path], tmp_path / "all.zarr")
+    cited = [reference["citation"] for reference in merged_store.about.references]
+    assert ["ICRA 2022" in c for c in cited] == [True, False]
+    assert ["ITSC 2013" in c for c in cited] == [False, True]
 
 
 def test_nearby_folders_are_asked_in_order(tmp_path: Path) -> None:
