@@ -87,7 +87,11 @@ class Log:
             self._file.write(json.dumps(line).encode() + b"\n")
             self._file.flush()
         if self._board is not None:
-            for name, value in _scalars("", line):
+            # A step's and an epoch's loss are two curves.
+            shown = {n: v for n, v in line.items() if n not in ("epoch", "time", "step")}
+            if "epoch" in line:
+                shown = {"val": shown.pop("val") or {}, "epoch": shown}
+            for name, value in _scalars("", shown):
                 self._board.add_scalar(name, value, line["step"])
 
     def close(self) -> None:
@@ -103,7 +107,7 @@ def _scalars(prefix: str, line: Mapping[str, Any]) -> list[tuple[str, float]]:
     for name, value in line.items():
         if isinstance(value, Mapping):
             found += _scalars(f"{prefix}{name}/", value)
-        elif isinstance(value, (int, float)) and not isinstance(value, bool) and name != "step":
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
             found.append((f"{prefix}{name}", float(value)))
     return found
 

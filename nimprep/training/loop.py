@@ -68,7 +68,7 @@ class Loop:
         self.steps = len(self.loader)
         self.schedule = Schedule(options, self.steps)
         self.optimizer = optimizer_for(network, options)
-        self.criterion = Criterion(network, self.data, options).to(precision.device)
+        self.criterion = Criterion(network, self.data, options, precision.device)
         self.rate = options.lr or 0.0
         self.log: Log | None = None
 
@@ -126,7 +126,7 @@ class Loop:
         fed = self.feed.fed(batch, self.data, self.network, self.precision.device)
         with self.precision.autocast():
             outputs = self.model(*fed.images)
-        loss = self.criterion(outputs, fed.label)
+        loss = self.criterion.loss(outputs, fed.label)
         number = float(summed(loss.detach().clone())) / ranks()[1]
         check_loss(number, state.step + 1, self.rate, options)
         self.precision.step(loss, self.optimizer, self.network, options.clip)

@@ -38,7 +38,7 @@ def test_there_are_twelve_networks_and_all_of_the_papers_setups() -> None:
     assert [*get_args(NetworkName)] == [*RECIPES] == [*NETWORKS]
 
 
-@pytest.mark.parametrize(("network", "setup"), EVERY, ids="-".join)
+@pytest.mark.parametrize(("network", "setup"), EVERY, ids=["-".join(pair) for pair in EVERY])
 def test_a_network_trains_two_steps_in_its_setup(
     two: Path, tmp_path: Path, network: Any, setup: str
 ) -> None:
@@ -58,6 +58,8 @@ def test_a_network_trains_two_steps_in_its_setup(
     learned = {k for k, v in checkpoint.state.items() if not torch.equal(v, begun[k])}
     # Biases before a normalisation get no gradient, and ESPNet's slopes may be alike.
     assert len(learned) > len(begun) / 2
+    for name, part in (("dupsampling", "auxiliary_head.0.0"), ("gscnn", "shape.edge")):
+        assert network != name or f"{part}.weight" in learned
 
 
 @pytest.mark.parametrize("network", RECIPES)

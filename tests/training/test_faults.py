@@ -93,14 +93,14 @@ def test_another_fault_keeps_its_traceback(
 def test_a_loss_that_is_no_number(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: float
 ) -> None:
-    forward, calls = Criterion.forward, 0
+    loss, calls = Criterion.loss, 0
 
     def ran_away(*arguments: Any) -> Any:
         nonlocal calls
         calls += 1
-        return forward(*arguments) * (number if calls == 3 else 1)
+        return loss(*arguments) * (number if calls == 3 else 1)
 
-    monkeypatch.setattr(Criterion, "forward", ran_away)
+    monkeypatch.setattr(Criterion, "loss", ran_away)
     line = told(store, tmp_path / "run", "--batch", "1", "--checkpoint-steps", "1")
     assert line == (
         f"error: mfnet: expected finite numbers, found a loss of {number:g} at step 3, at a "

@@ -25,7 +25,6 @@ from nimprep.store.reader import open_store
 from nimprep.synthetic import write_synthetic
 from nimprep.torch import StoreDataset
 from nimprep.training import TrainOptions, train
-from nimprep.training.criterion import cross_entropy
 from nimprep.training.log import check_tensorboard
 from nimprep.training.options import TrainKeywords
 from tests.conftest import PROJECT
@@ -136,28 +135,6 @@ def test_without_val_the_last_weights_are_kept_and_that_is_said(tmp_path: Path) 
     assert read_checkpoint(tmp_path / "run").figures["epoch"] == 2
     assert [line["val"] for line in log_lines(tmp_path / "run")] == [None, None]
     assert same_tensors(weights(tmp_path / "run"), weights(tmp_path / "run", "best.pt"))
-
-
-def test_pixels_without_a_label_count_nothing() -> None:
-    logits = torch.randn(2, 3, 4, 5, dtype=torch.float64, requires_grad=True)
-    label = torch.randint(0, 3, (2, 4, 5))
-    label[0, :2] = 255
-    weight = torch.tensor([0.5, 2.0, 0.25])
-    for given in (None, weight):
-        total, counted = 0.0, 0.0
-        scores = logits.detach().float().log_softmax(1)
-        for b, v, u in np.ndindex(2, 4, 5):
-            k = int(label[b, v, u])
-            if k != 255:
-                w = 1.0 if given is None else float(given[k])
-                total -= w * float(scores[b, k, v, u])
-                counted += w
-        found = cross_entropy(logits, label, given)
-        assert found.item() == pytest.approx(total / counted, rel=1e-5)
-    empty = cross_entropy(logits, torch.full_like(label, 255), weight)
-    empty.backward()
-    assert empty.item() == 0
-    assert not logits.grad.any()
 
 
 def test_a_store_that_cannot_be_trained_on_is_one_line(tmp_path: Path) -> None:
@@ -372,3 +349,18 @@ def test_tensorboard_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch)
     check_tensorboard(False)
     with pytest.raises(ArrayError, match=r"pip install 'nimprep\[tensorboard\]'"):
         check_tensorboard(True)
+
+
+def test_tensorboard_gets_what_the_log_does(store: Path, tmp_path: Path) -> None:
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    options: dict[str, Any] = {**SMALL, "network": "mfnet", "setup": "rgb+d", "epochs": 2}
+    train(store, tmp_path / "run", **options, tensorboard=True, log_steps=1)
+    events = accumulator.EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+    events.Reload()
+    lines = [line for line in log_lines(tmp_path / "run") if "epoch" in line]
+    for name in ("iou", "f_score"):
+        found = events.Scalars(f"val/{name}")
+        assert [e.step for e in found] == [line["step"] for line in lines]
+        assert [e.value for e in found] == pytest.approx([line["val"][name] for line in lines])
+    assert [e.step for e in events.Scalars("loss")] == [1, 2, 3, 4]
+    assert [e.step for e in events.Scalars("epoch/loss")] == [2, 4]
