@@ -7,7 +7,8 @@
 Prints a table in Markdown: parameters, operations (two for each multiply-add) at 480x640 for three
 classes in the nim-rgb+d setup, and how many times MFNet's time one image in evaluation and one
 training step (forward, loss, backward, SGD) take. Each network is timed in turns with MFNet, the
-smallest time of the rounds counts, and what MFNet took is said below.
+smallest time of the rounds counts, and what MFNet took is said below. On a machine that others use
+``--busy`` counts the processor time of one thread in place of the time that passes.
 """
 
 from __future__ import annotations
@@ -67,11 +68,12 @@ def runs(name: str, options: argparse.Namespace) -> dict[str, Callable[[], objec
     return {"inference": infer, "training": train}
 
 
-def seconds(run: Callable[[], object]) -> float:
+def seconds(run: Callable[[], object], busy: bool) -> float:
     """Return how long one call takes."""
-    begin = time.perf_counter()
+    clock = time.process_time if busy else time.perf_counter
+    begin = clock()
     run()
-    return time.perf_counter() - begin
+    return clock() - begin
 
 
 def ratios(name: str, options: argparse.Namespace) -> tuple[list[float], list[float]]:
@@ -81,7 +83,7 @@ def ratios(name: str, options: argparse.Namespace) -> tuple[list[float], list[fl
     for place in range(options.rounds + 1):
         for kind in other:
             for own, run in ((True, other[kind]), (False, reference[kind])):
-                took = seconds(run)
+                took = seconds(run, options.busy)
                 if place:  # the first is to warm up
                     best[kind, own] = min(took, best.get((kind, own), took))
     base = [best[kind, False] for kind in other]
@@ -99,7 +101,10 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--batch", type=int, default=4, help="of a training step")
     parser.add_argument("--width", type=float, default=1.0, help="as build_network takes it")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--busy", action="store_true", help="processor time of one thread")
     options = parser.parse_args(given)
+    if options.busy:
+        torch.set_num_threads(1)
     timed = "" if options.counts else " inference | training |"
     print(f"| network | parameters | GFLOPs |{timed}")
     print("| --- | ---: | ---: |" + " ---: |" * timed.count("|"))
@@ -112,9 +117,10 @@ def main(given: Sequence[str] | None = None) -> None:
         print(row, flush=True)
     if base:
         height, width = options.size
+        clock = "processor time" if options.busy else "time that passed"
         print(
-            f"\n{REFERENCE}: {base[0]:.3f} s an image of {height}x{width}, {base[1]:.2f} s a "
-            f"training step of {options.batch}; {torch.get_num_threads()} threads, load "
+            f"\n{REFERENCE}: {base[0]:.3f} s an image of {height}x{width}, {base[1]:.3f} s a "
+            f"training step of {options.batch}; {clock}, {torch.get_num_threads()} threads, load "
             f"{os.getloadavg()[0]:.1f}, PyTorch {torch.__version__}, width {options.width:g}"
         )
 
