@@ -59,9 +59,10 @@ class Derivation:
         store's attributes say of it.
     made_from : tuple of str
         The modalities that it is made from.
-    covers : {"depth", "depth or nothing", "at least depth"}
-        Where there is some: exactly where depth is, or was filled in; there or nowhere, as where
-        no road is; or elsewhere, too.
+    covers : {"depth", "depth beside depth", "depth or nothing", "at least depth"}
+        Where there is some: exactly where depth is, or was filled in; only where there is depth
+        above, below, left or right of it, too; there or nowhere, as where no road is; or elsewhere,
+        too.
     gravity : bool
         Whether its maker gives a direction of gravity.
     masked : bool
@@ -71,7 +72,7 @@ class Derivation:
     make: str
     describe: str
     made_from: tuple[str, ...] = ("depth",)
-    covers: Literal["depth", "depth or nothing", "at least depth"] = "depth"
+    covers: Literal["depth", "depth beside depth", "depth or nothing", "at least depth"] = "depth"
     gravity: bool = False
     masked: bool = False
 
@@ -270,7 +271,7 @@ MODALITIES: dict[str, Modality] = {
             values="vectors",
             long_name="unit surface normal in the camera frame, towards the camera",
             units="1",
-            comment="(0, 0, 0) where there is no depth",
+            comment="(0, 0, 0) where there is no depth, or none at any of the four neighbours",
             channels=("x right", "y down", "z forward"),
             dtype="int8",
             dtypes=("int8", "int16"),
@@ -283,6 +284,7 @@ MODALITIES: dict[str, Modality] = {
             derived=Derivation(
                 make="nimprep.derive.normals:make_normals",
                 describe="nimprep.derive.normals:describe_normals",
+                covers="depth beside depth",
             ),
         ),
         Modality(

@@ -27,6 +27,7 @@ from nimprep.conversion.workspace import (
     open_workspace,
     root_digest,
 )
+from nimprep.derive.recipe import recipe_from
 from nimprep.errors import StoreError
 from nimprep.parallel import Progress, no_progress
 from nimprep.readers import Reader
@@ -115,7 +116,8 @@ def append_frames(
             if new.ids:
                 digest, unit = old.about.source["digest"], depth_unit(old)
                 base = Base(len(old), *padded_size(old), digest, unit)
-                plan = make_plan(source, new, converting, workspace, start, base)
+                recipe = recipe_from(old.about.modalities)
+                plan = make_plan(source, new, converting, workspace, start, base, recipe)
                 records = encode(plan, start)
                 ids = tuple(facts.id for facts in records.facts)
                 grown = _finish(plan, records, old, opened, workspace, start)

@@ -53,7 +53,7 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
     }
     options = ConvertOptions(**reading, **making)
     held = (array.modality for array in store.arrays.values())
-    described = describe_modalities(held, options.recipe)
+    described = describe_modalities(held, recipe)
     found = {name: about.modalities[name] for name in store.modalities}
     for name in store.modalities:
         if described[name] != found[name]:

@@ -18,6 +18,7 @@ from nimprep.conversion.records import DEPTHS, FrameFacts, SkippedFrame, UnitRec
 from nimprep.conversion.sources import changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import Recipe
+from nimprep.doubts.depth import staircase_signs
 from nimprep.doubts.surfaces import depth_counts_sign
 from nimprep.errors import ArrayError, DecodeError, NimprepError
 from nimprep.frame import Frame
@@ -147,7 +148,7 @@ def encode_frame(job: Job, reader: Reader, frame_id: str) -> EncodedFrame:
     DecodeError
         A file is damaged, holds what cannot be, or changed since the conversion began; it is named.
     """
-    layout, recipe = job.layout, job.options.recipe
+    layout, recipe = job.layout, job.recipe
     wanted = given_for(layout.modalities)
     if recipe.fill == "colorization":
         wanted.add("rgb")
@@ -214,7 +215,7 @@ class _Stored(NamedTuple):
     gravity : (3,) float64
         Its direction.
     signs : dict of str to float
-        Of what was derived.
+        Of what was derived and filled in.
     depth_lost : dict of str to float, optional
         See `FrameFacts`.
     """
@@ -238,16 +239,19 @@ def _stored_images(frame: Frame, layout: StoreLayout, recipe: Recipe, *, road: b
     measured = given.pop("depth")
     stored = {n: to_integers(layout.modality(n), i) for n, i in given.items() if i is not None}
     stored |= _stored_planes(frame, layout)
+    signs: dict[str, float] = {}
     if measured is not None:
         stored["depth"], pixels = depth_to_integers(depth, measured)
         lost = None if pixels == 0 else lost_depth(depth, measured, stored["depth"])
-        frame, missing = fill_frame(_with_depth(frame, depth, stored["depth"]), recipe)
+        frame, missing = frame_to_derive_from(frame, depth, stored["depth"], recipe)
+        if frame.depth_m is not None:
+            signs = staircase_signs(frame.depth_m, missing)
         if recipe.store_filled and frame.depth_m is not None:
             stored["depth"] = depth_to_integers(depth, frame.depth_m)[0]
             frame = _with_depth(frame, depth, stored["depth"])
     derived = derive(frame, missing, layout.modalities, recipe)
     stored |= {n: to_integers(layout.modality(n), i) for n, i in derived.images.items()}
-    signs = derived_signs(frame, stored, derived.signs, recipe, road=road)
+    signs |= derived_signs(frame, stored, derived.signs, recipe, road=road)
     return _Stored(stored, derived.gravity, signs, lost)
 
 
@@ -264,6 +268,13 @@ def _stored_planes(frame: Frame, layout: StoreLayout) -> dict[str, npt.NDArray[A
             )
         stored[plane.name] = to_integers(plane, image)
     return stored
+
+
+def frame_to_derive_from(
+    frame: Frame, depth: Modality, stored: npt.NDArray[np.uint16], recipe: Recipe
+) -> tuple[Frame, npt.NDArray[np.bool_] | None]:
+    """Return the frame with the depth that is derived from, filled by the recipe: `fill_frame`."""
+    return fill_frame(_with_depth(frame, depth, stored), recipe)
 
 
 def _with_depth(frame: Frame, depth: Modality, stored: npt.NDArray[np.uint16]) -> Frame:

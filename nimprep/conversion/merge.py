@@ -22,7 +22,7 @@ from nimprep.conversion.compatibility import (
 )
 from nimprep.conversion.doubted import with_doubts_of_labels
 from nimprep.conversion.plan import warn_of_padding
-from nimprep.conversion.provenance import joined_attributes
+from nimprep.conversion.provenance import joined_attributes, with_prefix
 from nimprep.conversion.records import depth_percentiles
 from nimprep.conversion.shard_assembly import StoreChunks, depth_counts, join_shards
 from nimprep.conversion.workspace import (
@@ -238,7 +238,12 @@ def _attributes(merge: _Merge, percentiles: dict[str, float] | None) -> StoreAtt
             for each in (about.doubts, about.findings)
         )
         part = replace(
-            about, fixed_splits=fixed, skipped=left_out, doubts=doubts, findings=findings
+            about,
+            fixed_splits=fixed,
+            skipped=left_out,
+            doubts=doubts,
+            findings=findings,
+            normals_chosen=with_prefix(about.normals_chosen, prefix),
         )
         found.append((part, len(store)))
     joined = joined_attributes(found, split=merge.split, depth_percentiles_m=percentiles)

@@ -63,6 +63,10 @@ class Job:
     ----------
     source : Path
     options : ConvertOptions
+    recipe : Recipe
+        The options', its method of normals chosen; or that of the store to append to.
+    chosen : mapping, optional
+        How that method was chosen, as `choose_normals` returns it.
     margins : Margins, optional
         Cut off every frame.
     layout : StoreLayout
@@ -77,11 +81,13 @@ class Job:
 
     source: Path
     options: ConvertOptions
+    recipe: Recipe
     margins: Margins | None
     layout: StoreLayout
     states: Mapping[str, tuple[FileState, ...]]
     storage: Storage
     base: Base | None = None
+    chosen: Mapping[str, Any] | None = None
 
     def open_reader(self) -> Reader:
         """Open the source as the plan did."""
@@ -100,6 +106,7 @@ class Job:
             "margins": None if self.margins is None else asdict(self.margins),
             "files": self.states,
             "base": None if self.base is None else asdict(self.base),
+            "normals_chosen": self.chosen,
             "planes": {plane.name: definition_of(plane) for plane in self.layout.planes},
             "depth_unit": asdict(self.layout.depth_unit),
         }
@@ -344,7 +351,8 @@ def describe(plan: Plan, ids: Sequence[str]) -> dict[str, Any]:
         "dataset": reader.info.name,
         **({"references": [reader.info.reference.to_json()]} if reader.info.reference else {}),
         "classes": [{"id": c.id, "name": c.name, "color": list(c.color)} for c in layout.classes],
-        "modalities": describe_modalities(map(layout.modality, layout.modalities), options.recipe),
+        "modalities": describe_modalities(map(layout.modality, layout.modalities), plan.job.recipe),
+        **({"normals_chosen": dict(plan.job.chosen)} if plan.job.chosen else {}),
         "calibration": {"origin": reader.info.calibration},
         "crop": asdict(margins),
         "codec": layout.codec,

@@ -56,6 +56,7 @@ def joined_attributes(
         references=_joined_references(about for about, _ in found),
         fixed_splits=fixed,
         frame_metadata=joined_metadata([(about.frame_metadata, n) for about, n in found]),
+        normals_chosen=_joined_choice(about.normals_chosen for about, _ in found),
         skipped=list(chain.from_iterable(about.skipped for about, _ in found)),
         doubts=joined_doubts(about.doubts for about, _ in found),
         findings=joined_doubts(about.findings for about, _ in found),
@@ -71,6 +72,22 @@ def _joined_references(found: Iterable[StoreAttributes]) -> list[dict[str, str]]
     for about in found:
         references += [each for each in about.references if each not in references]
     return references
+
+
+def _joined_choice(found: Iterable[Mapping[str, Any] | None]) -> dict[str, Any] | None:
+    """Return the choice of stores' one method, by the frames of all that chose."""
+    made = [choice for choice in found if choice is not None]
+    if not made:
+        return None
+    return {**made[0], "frames": [frame for choice in made for frame in choice["frames"]]}
+
+
+def with_prefix(choice: Mapping[str, Any] | None, prefix: str) -> dict[str, Any] | None:
+    """Return a store's `normals_chosen` with a prefix before its frames' ids."""
+    if choice is None:
+        return None
+    frames = [{**frame, "id": prefix + frame["id"]} for frame in choice["frames"]]
+    return {**choice, "frames": frames}
 
 
 def _parts(about: StoreAttributes, frames: int) -> list[dict[str, Any]]:

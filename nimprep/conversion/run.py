@@ -21,6 +21,7 @@ from nimprep.conversion.gaps import (
     packing_goes_on,
 )
 from nimprep.conversion.journal import Journal, LostRecordsError, begin_journal, kept_journal
+from nimprep.conversion.normals_choice import asks_for_choice, choose_normals, with_choice
 from nimprep.conversion.options import ConvertKeywords, ConvertOptions
 from nimprep.conversion.plan import (
     Base,
@@ -36,6 +37,7 @@ from nimprep.conversion.records import Records, UnitRecord, tables
 from nimprep.conversion.shard_contents import changed_shards, lost_units
 from nimprep.conversion.sources import frame_states, listed_state
 from nimprep.conversion.workspace import Workspace, check_apart, workspace_at
+from nimprep.derive.recipe import Recipe
 from nimprep.errors import DecodeError, LayoutError, NimprepError, StoreError
 from nimprep.parallel import Progress, available_cores, no_progress
 from nimprep.readers import Reader
@@ -132,6 +134,7 @@ def make_plan(
     workspace: Workspace,
     start: Progress,
     base: Base | None = None,
+    recipe: Recipe | None = None,
 ) -> Plan:
     """Plan a conversion, or take up the plan of one that was cut short; begin its store.
 
@@ -139,6 +142,8 @@ def make_plan(
     ----------
     base : Base, optional
         The store that the frames are to be appended to.
+    recipe : Recipe, optional
+        Its own; None = the options say how what is derived is made.
     """
     states = frame_states(reader, skip_bad=options.on_error == "skip")
     kept = None if options.restart else kept_journal(workspace.journal, workspace.where)
@@ -154,7 +159,11 @@ def make_plan(
     if base is not None:
         held = replace(layout, depth_unit=base.depth_unit)
         layout = replace(held, height=base.height, width=base.width)
-    job = Job(source, options, margins, layout, states, workspace.store, base)
+    chosen = None if kept is None else kept.plan.get("normals_chosen")
+    if chosen is None and recipe is None and asks_for_choice(layout, options):
+        chosen = choose_normals(reader, layout, options, start)
+    recipe = recipe or with_choice(options.recipe, chosen)
+    job = Job(source, options, recipe, margins, layout, states, workspace.store, base, chosen)
     if kept is not None:
         _forget_undone(kept, job)
     run = None if kept is None else kept.plan["run"]

@@ -7,10 +7,15 @@ from typing import Literal, get_args
 
 from nimprep.errors import ArrayError
 
-Method = Literal["nim", "nim-edge"]
+Method = Literal["nim", "nim-edge", "auto"]
 
 METHODS: tuple[Method, ...] = get_args(Method)
 """What `nimprep.derive.normals.estimate_normals` takes as `method`."""
+
+FixedMethod = Literal["nim", "nim-edge"]
+
+FIXED_METHODS: tuple[FixedMethod, ...] = get_args(FixedMethod)
+"""Those that are the same for every image, and so what a store's normals are made by."""
 
 FillMethod = Literal["nearest", "linear", "colorization"]
 
@@ -47,10 +52,10 @@ def check_method(method: str, sign_filter: bool = False, noise: float | None = N
     if method not in METHODS:
         known = ", ".join(repr(name) for name in METHODS)
         raise ArrayError(f"method: expected one of {known}, found {method!r}")
-    if method == "nim-edge":
+    if method != "nim":
         import nimprep.derive.normals_edge  # noqa: F401
-    if method == "nim-edge" and sign_filter:
-        raise ArrayError("sign_filter: expected False with 'nim-edge', found True; 'nim' has it")
+    if method != "nim" and sign_filter:
+        raise ArrayError(f"sign_filter: expected False with {method!r}, found True; 'nim' has it")
     if noise is None:
         return
     if method != "nim-edge":

@@ -36,13 +36,14 @@ def estimate_normals(
         float32.
     camera : Camera
         Of the image's size.
-    method : {"nim", "nim-edge"}
+    method : {"nim", "nim-edge", "auto"}
         "nim", the paper's: the gradient of inverse depth gives n_x and n_y; each of the four
         neighbours whose depth differs gives an n_z, and the unit vectors are summed. "nim-edge":
         the same n_x and n_y from differences that cross no depth edge, n_z from the plane that
-        they and the pixel lie in, smoothed as far as the image is noisy.
+        they and the pixel lie in, smoothed as far as the image is noisy. "auto": nim-edge where
+        the image has noise that turns normals by half a degree or more, else nim.
     sign_filter : bool
-        Of "nim" alone, which "nim-edge" refuses as it has no n_z to choose among.
+        Of "nim" alone; "nim-edge" refuses it as it has no n_z to choose among, and so does "auto".
         Sum only the neighbours whose n_z has the majority's sign, before orientation. A tie
         counts as positive. An n_z of exactly 0 has no sign: it is left out unless all are 0.
     out : (H, W, 3) float32, C-contiguous, optional
@@ -61,10 +62,11 @@ def estimate_normals(
     -------
     (H, W, 3) float32
         Unit vectors (n_x, n_y, n_z) in the camera frame (x right, y down, z forward), pointing at
-        the camera: n·P <= 0. (0, 0, 0) exactly where there is no depth. At the border and beside
-        holes from the neighbours there are: a difference with one of its two sides missing is
-        one-sided and doubled (by "nim"), with both missing 0. Where no neighbour's depth differs,
-        or the gradient is exactly 0, (0, 0, -1).
+        the camera: n·P <= 0. (0, 0, 0) exactly where there is no depth, or none at any of the four
+        neighbours, so that no difference was measured. At the border and beside holes from the
+        neighbours there are: a difference with one of its two sides missing is one-sided and
+        doubled (by "nim"), with both missing 0. Where there are neighbours but none's depth
+        differs, or the gradient is exactly 0, (0, 0, -1).
 
     Raises
     ------
@@ -81,6 +83,10 @@ def estimate_normals(
     """
     check_method(method, sign_filter, noise)
     depth = checked_depth(depth_m, camera)
+    if method == "auto":
+        from nimprep.derive.method_choice import measure_noise, method_for
+
+        method = method_for([measure_noise(depth, camera)])
     height, width = depth.shape
     normal = np.empty((height, width, 3), np.float32) if out is None else _checked_out(out, depth)
     flat = normal.reshape(height, 3 * width)
@@ -124,6 +130,9 @@ def make_normals(given: Given) -> Made:
         num_threads=1,
         noise=recipe.noise,
     )
+    if recipe.lone_normals:
+        alone = (given.depth_m > 0) & ~normals.any(axis=-1)
+        normals[alone] = (0, 0, -1)
     return Made(normals)
 
 
@@ -132,4 +141,6 @@ def describe_normals(recipe: Recipe) -> dict[str, Any]:
     options: dict[str, Any] = {"sign_filter": recipe.sign_filter}
     if recipe.normals == "nim-edge":
         options = {"noise": "estimated" if recipe.noise is None else recipe.noise}
+    if not recipe.lone_normals:
+        options["lone"] = "none"
     return {"method": recipe.normals, "parameters": {**options, "fill": recipe.fill}}

@@ -29,7 +29,8 @@ class RecipeOptions(Options):
 
     normals: Method = option(
         "nim",
-        "Normals by the paper's method, or by the one that keeps depth edges and smooths noise.",
+        "Normals by the paper's method, by the one that keeps depth edges and smooths noise, or by "
+        "whichever the noise of a sample of the frames asks for.",
     )
     sign_filter: bool = option(False, "Normals by NIM with its sign filter.")
     noise: float | None = option(
@@ -73,9 +74,13 @@ class Recipe(RecipeOptions):
     ----------
     virtual_baseline_m : float
         Baseline of the disparity of frames that have none, metres.
+    lone_normals : bool
+        Whether pixels without a neighbour, where nothing is measured, have normals that face the
+        camera: so in stores that earlier versions made.
     """
 
     virtual_baseline_m: float = VIRTUAL_BASELINE_M
+    lone_normals: bool = False
 
     @property
     def ground(self) -> Ground:
@@ -122,6 +127,7 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
             ),
         ),
         noise=None if noise == "estimated" else _number("noise", noise),
+        lone_normals="normal" in modalities and normal["parameters"].get("lone") != "none",
     )
 
 

@@ -38,15 +38,16 @@ def depth_signs(
     -------
     dict
         ``with_neighbours``: the share of the pixels with depth that have it beside them on each
-        axis, too; ``beyond_range``: the share of them beyond `most_m`; ``row_correlation``: of
-        depth with the row in the lower half of the image; ``camera_height_m``: the camera's over
-        the road's plane, where one is found. What cannot be measured is left out; of an image of
+        axis, too; ``alone``: of those that have it beside them on none; ``beyond_range``: of those
+        beyond `most_m`; ``row_correlation``: of depth with the row in the lower half of the image;
+        ``camera_height_m``: the camera's over the road's plane, where one is found. What cannot be
+        measured is left out; of an image of
         some hundred pixels that is everything.
     """
     if depth_m.size < _PLANE_PIXELS:
         return {}
     signs = {
-        "with_neighbours": _share_with_neighbours(depth_m),
+        **_shares_with_neighbours(depth_m),
         "beyond_range": _share_beyond(depth_m, most_m),
         "row_correlation": _row_correlation(depth_m),
         "camera_height_m": _camera_height(depth_m, camera) if road else None,
@@ -77,18 +78,56 @@ def camera_signs(camera: Camera) -> dict[str, float]:
     }
 
 
-def _share_with_neighbours(depth_m: npt.NDArray[np.float32]) -> float | None:
+def staircase_signs(
+    filled_m: npt.NDArray[np.float32], missing: npt.NDArray[np.bool_] | None
+) -> dict[str, float]:
+    """Measure how much of the depth that was filled in is steps.
+
+    Parameters
+    ----------
+    filled_m : (H, W) float32, metres
+        0 = none.
+    missing : (H, W) bool, optional
+        Where it was filled in; None = nowhere.
+
+    Returns
+    -------
+    dict
+        ``staircase``: the share of the pixels with depth that were filled in and are exactly as far
+        as their four neighbours; of an image of some hundred pixels nothing.
+    """
+    height, width = filled_m.shape
+    if missing is None or filled_m.size < _PLANE_PIXELS or min(height, width) < 3:
+        return {}
+    rows = _sampled_rows(height)
+    here, above, below = (filled_m[rows + step] for step in (0, -1, 1))
+    inner = here[:, 1:-1]
+    level = (here[:, :-2] == inner) & (here[:, 2:] == inner)
+    level &= (above[:, 1:-1] == inner) & (below[:, 1:-1] == inner)
+    number = np.count_nonzero(inner)
+    made = level & missing[rows][:, 1:-1] & (inner > 0)
+    return {"staircase": float(np.count_nonzero(made) / number)} if number >= _LEAST_PIXELS else {}
+
+
+def _sampled_rows(height: int) -> npt.NDArray[np.intp]:
+    """Return some rows that have one above and one below."""
+    return np.unique(np.linspace(1, height - 2, _ROWS).astype(np.intp))
+
+
+def _shares_with_neighbours(depth_m: npt.NDArray[np.float32]) -> dict[str, float]:
     height, width = depth_m.shape
     if min(height, width) < 3:
-        return None
-    rows = np.unique(np.linspace(1, height - 2, _ROWS).astype(np.intp))
+        return {}
+    rows = _sampled_rows(height)
     here, above, below = (depth_m[rows + step] > 0 for step in (0, -1, 1))
     inner = here[:, 1:-1]
     number = np.count_nonzero(inner)
     if number < _LEAST_PIXELS:
-        return None
-    both = inner & (here[:, :-2] | here[:, 2:]) & (above | below)[:, 1:-1]
-    return float(np.count_nonzero(both) / number)
+        return {}
+    along_u, along_v = here[:, :-2] | here[:, 2:], (above | below)[:, 1:-1]
+    both, none = inner & along_u & along_v, inner & ~(along_u | along_v)
+    shares = {"with_neighbours": both, "alone": none}
+    return {name: float(np.count_nonzero(some) / number) for name, some in shares.items()}
 
 
 def _share_beyond(depth_m: npt.NDArray[np.float32], most_m: float) -> float | None:

@@ -64,7 +64,7 @@ RULES: tuple[Rule, ...] = (
             f"one-value-{m.name}-{c}",
             one_value_sign(m, c),
             lambda x: x > ONE_VALUE,
-            lambda x, m=m, channel=channel: (  # type: ignore[misc]
+            lambda x, m=m, channel=channel: (
                 f"{m.long_name}'s {channel} is saturated, {percent(x)} of it one and the same "
                 "value; the lowest point may be an outlier (--hha-ground floor), the unit another "
                 "(--depth-scale), or the direction of gravity (--gravity)"

@@ -20,6 +20,7 @@ TITLES = {
     "disparity-name": "Disparity read as depth?",
     "grows-downwards": "Depth upside down, or disparity?",
     "sparse": "Depth without neighbours",
+    "staircase": "Depth filled in steps",
     "camera-height": "Camera too low or too high",
     "normalised-camera": "Camera in shares of the image?",
     "principal-point": "Principal point outside the image",
@@ -84,16 +85,19 @@ class Rule:
     doubtful : callable
         Whether a frame with this value of it is one the doubt is of.
     text : callable
-        What to say, of the median of the doubtful frames' values.
+        What to say, of the median of the doubtful frames' values, and of those of `beside`.
     share : float
         Of the frames that have the sign, so many must be doubtful; 0 = one is enough.
+    beside : tuple of str
+        Signs that the text says, too; None where no doubtful frame has one.
     """
 
     kind: str
     sign: str
     doubtful: Callable[[float], bool]
-    text: Callable[[float], str]
+    text: Callable[..., str]
     share: float = 0.5
+    beside: tuple[str, ...] = ()
 
 
 SWAPPED_ROUGHNESS = 0.5
@@ -113,6 +117,9 @@ and disparity of the real frames, read as depth, 0.45 to 1."""
 
 WITH_NEIGHBOURS = 0.5
 """Dense real depth has 0.99 or more, LiDAR as measured 0.00."""
+
+STAIRCASE = 0.2
+"""Of LiDAR filled by the nearest 0.30 and more, linearly 0.00003; of a dense frame's holes 0.14."""
 
 CAMERA_HEIGHT_M = (0.1, 3.0)
 """From a small robot's to a lorry's; on real frames 0.50 to 1.96."""
@@ -208,9 +215,23 @@ RULES: tuple[Rule, ...] = (
         "sparse",
         "with_neighbours",
         lambda x: x < WITH_NEIGHBOURS,
-        lambda x: (
+        lambda x, alone: (
             f"{percent(x)} of the pixels with depth have it beside them on each axis, few as of "
-            "LiDAR: normals, HHA and the like need neighbours; convert with --fill linear"
+            "LiDAR: normals, HHA and the like need neighbours"
+            + (f", and {percent(alone)} have no normal, none being beside them" if alone else "")
+            + "; convert with --fill linear"
+        ),
+        share=0,
+        beside=("alone",),
+    ),
+    Rule(
+        "staircase",
+        "staircase",
+        lambda x: x >= STAIRCASE,
+        lambda x: (
+            f"{percent(x)} of the pixels with depth were filled in and are exactly as far as all "
+            "around them, the treads of steps, which normals take for walls; convert with --fill "
+            "linear"
         ),
         share=0,
     ),
@@ -239,7 +260,7 @@ RULES: tuple[Rule, ...] = (
             "principal-point",
             f"{name}_share",
             lambda x: not PRINCIPAL_POINT[0] <= x <= PRINCIPAL_POINT[1],
-            lambda x, name=name, size=size: (  # type: ignore[misc]
+            lambda x, name=name, size=size: (
                 f"the principal point lies outside the image, {name} at {x:.3g} of its {size}; "
                 "give the camera of images of this size"
             ),
@@ -286,11 +307,19 @@ def judged(frames: Sequence[tuple[str, Signs]], rules: Iterable[Rule]) -> dict[s
     found: dict[str, Doubt] = {}
     for rule in rules:
         asked = [(i, signs[rule.sign]) for i, signs in frames if rule.sign in signs]
-        doubtful = [(i, value) for i, value in asked if rule.doubtful(value)]
-        if doubtful and len(doubtful) >= rule.share * len(asked):
-            text = rule.text(statistics.median(value for _, value in doubtful))
-            found.setdefault(rule.kind, Doubt.of(rule.kind, text, [i for i, _ in doubtful]))
+        ids = [i for i, value in asked if rule.doubtful(value)]
+        if ids and len(ids) >= rule.share * len(asked):
+            text = rule.text(*_medians(dict(frames), ids, (rule.sign, *rule.beside)))
+            found.setdefault(rule.kind, Doubt.of(rule.kind, text, ids))
     return found
+
+
+def _medians(
+    frames: Mapping[str, Signs], ids: Sequence[str], names: Sequence[str]
+) -> list[float | None]:
+    """Return the median of each sign over the frames that have it; None = none has."""
+    values = [[frames[i][name] for i in ids if name in frames[i]] for name in names]
+    return [statistics.median(some) if some else None for some in values]
 
 
 def _beyond_range(frames: Sequence[tuple[str, Signs]], most_m: float) -> list[Doubt]:

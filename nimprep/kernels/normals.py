@@ -176,7 +176,8 @@ def _nim_row(
         scale = _copysign(ONE / np.sqrt(squared + TINY), e_sum)
         present = depth > ZERO
         known = present & (gradient2 > FLAT) & (squared > FAINT)
-        flat = -ONE if present else ZERO
+        measured = present & (has_left | has_right | has_up | has_down)
+        flat = -ONE if measured else ZERO
         out[3 * u] = n_x * (s_sum * scale) if known else ZERO
         out[3 * u + 1] = n_y * (s_sum * scale) if known else ZERO
         out[3 * u + 2] = z_sum * scale if known else flat

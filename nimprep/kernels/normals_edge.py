@@ -1,7 +1,8 @@
 """Edge-aware normals: each pixel's plane of inverse depth, its own and its neighbours' weighed.
 
 With r = 1/Z and g its gradient, n is along (fx g_u, fy g_v, r - g_u (u - cx) - g_v (v - cy)); n.P
-is then 1 before n is turned, so that the sign is known without a product. g is a weighted mean:
+is then 1 before n is turned, so that the sign is known without a product. A pixel that no neighbour
+with depth is beside has no n: nothing was measured there. g is a weighted mean:
 
 1. of the pixel's own gradient and those of its four neighbours, from `inverse_depth_gradient`. A
    neighbour's plane should hold the pixel: how far it misses it, squared and times 8, is added to
@@ -110,10 +111,19 @@ def _cell_row(
 
 @kernel(fastmath=FASTMATH, inline=True)
 def _normal_row(
-    r: Row, sums: Row, x_row: Row, y: np.float32, fx: np.float32, fy: np.float32, out: Row
+    up: Row,
+    row: Row,
+    down: Row,
+    sums: Row,
+    x_row: Row,
+    y: np.float32,
+    fx: np.float32,
+    fy: np.float32,
+    out: Row,
 ) -> None:
-    """Write one row of normals, (3 W,)."""
+    """Write one row of normals, (3 W,); none where no neighbour has depth, whatever cells say."""
     sum_u, sum_v, weights = sums[0], sums[1], sums[2]
+    up_r, left_r, r, right_r, down_r = up[2:-2], row[1:-3], row[2:-2], row[3:-1], down[2:-2]
     for u in range(r.size):
         # The vector's length is free: it need only stay in float32.
         per_weight = weight_of(weights[u])
@@ -122,7 +132,8 @@ def _normal_row(
         n_z = r[u] * (weights[u] * per_weight) - (g_u * x_row[u] + g_v * y)
         across2 = n_x * n_x + n_y * n_y
         scale = -ONE / np.sqrt(across2 + n_z * n_z + TINY)
-        known = r[u] > ZERO
+        beside = max(max(left_r[u], right_r[u]), max(up_r[u], down_r[u]))
+        known = (r[u] > ZERO) & (beside > ZERO)
         tilted = known & (across2 > ZERO)
         flat = -ONE if known else ZERO
         out[3 * u] = n_x * scale if tilted else ZERO
@@ -258,19 +269,20 @@ def edge_rows(
     _advance(depth_m, row_start, scale, noise, inverse, gradient)
     for v in range(row_start, row_stop):
         _advance(depth_m, v + 1, scale, noise, inverse, gradient)
+        up, row, down = inverse[(v - 1) % 8], inverse[v % 8], inverse[(v + 1) % 8]
         _neighbour_row(
-            inverse[(v - 1) % 8],
-            inverse[v % 8],
-            inverse[(v + 1) % 8],
+            up,
+            row,
+            down,
             gradient[(v - 1) % 4],
             gradient[v % 4],
             gradient[(v + 1) % 4],
             sums,
         )
-        r, y = inverse[v % 8, 2:-2], np.float32(v - cy)
+        y = np.float32(v - cy)
         if side > 0:
             if (v - half) % side == 0:
                 below = (v - half) // side + 1
                 _widened(planes, below, side, wide[below % 2])
-            _add_cells(r, v, side, planes, wide, share_row, x_row, y, noise, sums)
-        _normal_row(r, sums, x_row, y, f_x, f_y, out[v])
+            _add_cells(row[2:-2], v, side, planes, wide, share_row, x_row, y, noise, sums)
+        _normal_row(up, row, down, sums, x_row, y, f_x, f_y, out[v])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nimprep.derive.methods import GROUNDS, Ground, Method, check_method
+from nimprep.derive.methods import FIXED_METHODS, GROUNDS, FixedMethod, Ground, check_method
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES
 from nimprep.networks.beside import colour_of
@@ -90,7 +90,7 @@ class NimNetwork(nn.Module):
         self,
         network: Network,
         setup: Setup | tuple[str, ...],
-        method: Method = "nim",
+        method: FixedMethod = "nim",
         sign_filter: bool = False,
         *,
         noise: float | None = None,
@@ -99,6 +99,9 @@ class NimNetwork(nn.Module):
         normalize: Literal["constants", "imagenet", "none"] | Scaling | None = None,
     ) -> None:
         super().__init__()
+        if method not in FIXED_METHODS:
+            known = ", ".join(map(repr, FIXED_METHODS))
+            raise ArrayError(f"method: expected one of {known}, found {method!r}")
         check_method(method, sign_filter, noise)
         if hha_ground not in GROUNDS:
             known = ", ".join(GROUNDS)

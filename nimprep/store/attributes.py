@@ -49,6 +49,7 @@ class StoreAttributes:
     crop: dict[str, int]
     codec: str
     split: Split
+    normals_chosen: dict[str, Any] | None = None
     fixed_splits: dict[SplitName, list[str]] = field(default_factory=dict)
     references: list[dict[str, str]] = field(default_factory=list)
     frame_metadata: dict[str, dict[str, list[Any]]] = field(default_factory=dict)

@@ -56,6 +56,7 @@ def store_info(path: Store | Path | str) -> dict[str, Any]:
         "groups": dict(sorted(Counter(g for g in tables.group if g).items())),
         "depth_sources": _depth_sources(about),
         "skipped": about.skipped,
+        "normals_chosen": about.normals_chosen,
         "doubts": about.doubts,
         "findings": about.findings,
         "normal_noise": about.normal_noise,
@@ -160,6 +161,8 @@ def info_text(info: dict[str, Any]) -> str:
         ]
     if info["skipped"]:
         rows.append(("skipped", f"{len(info['skipped'])} bad frames of the source"))
+    if info["normals_chosen"] is not None:
+        rows.append(("normals", _chosen_text(info["normals_chosen"])))
     rows += [("doubt", sentence(doubt)) for doubt in info["doubts"]]
     rows += [("finding", sentence(finding)) for finding in info["findings"]]
     lines = [f"{name:<9}{printable(text)}" for name, text in rows]
@@ -194,6 +197,18 @@ def _noise_text(noise: dict[str, float]) -> str:
 
 def _unit_text(info: dict[str, Any]) -> str:
     return f"{unit_words(info['depth_unit_m'])}, to {info['depth_most_m']:.6g} m"
+
+
+def _chosen_text(chosen: dict[str, Any]) -> str:
+    """Say which method of normals was chosen, and by which noise."""
+    frames = chosen["frames"]
+    if not frames:
+        return f"{chosen['method']}, as no frame to measure noise on was good"
+    relative, turns = (np.median([f[name] for f in frames]) for name in ("relative", "turns_deg"))
+    noise = f"noise of {relative:.2g} of the depth, which turns normals by {turns:.2g} degrees"
+    ids = f"{len(frames)} frame" + ("" if len(frames) == 1 else "s")
+    found = noise if relative > 0 else "no noise"
+    return f"{chosen['method']}, chosen by {found} (median of {ids}, first {frames[0]['id']!r})"
 
 
 def _camera_text(info: dict[str, Any]) -> str:

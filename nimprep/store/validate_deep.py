@@ -98,8 +98,19 @@ def _image_problems(store: Store, index: int, images: dict[str, npt.NDArray[Any]
             # A frame without depth shows no direction.
             if modality.derived.gravity and images["depth"].any():
                 problems += _gravity_problems(modality, store.tables.gravity[index])
-            problems += _cover_problems(modality, image, images["depth"] > 0, filled=filled)
+            depth = images["depth"] > 0
+            if modality.derived.covers == "depth beside depth" and not recipe.lone_normals:
+                depth = _beside(depth)
+            problems += _cover_problems(modality, image, depth, filled=filled)
     return problems
+
+
+def _beside(depth: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return where depth has depth above, below, left or right of it."""
+    some = np.pad(depth, 1)
+    above, below = some[:-2, 1:-1], some[2:, 1:-1]
+    beside: npt.NDArray[np.bool_] = above | below | some[1:-1, :-2] | some[1:-1, 2:]
+    return depth & beside
 
 
 def _class_problems(store: Store, name: str, image: npt.NDArray[np.uint8]) -> list[str]:
@@ -138,7 +149,8 @@ def _cover_problems(
     wrong = int(((depth != some) if only and not filled else (depth & ~some)).sum())
     if wrong == 0 or (covers == "depth or nothing" and not some.any()):
         return []
-    expected = "a value exactly where depth is" if only else "a value where depth is"
+    where = "depth is beside depth" if covers == "depth beside depth" else "depth is"
+    expected = f"a value exactly where {where}" if only else f"a value where {where}"
     found = f"{wrong} pixels {'not so' if only else 'without'}"
     return [f"{modality.name}: expected {expected}, found {found}"]
 

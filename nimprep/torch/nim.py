@@ -28,8 +28,8 @@ class NIM(nn.Module):
     The same values as `nimprep.estimate_normals` up to rounding, as tensor operations: runs on any
     device, with no parameters and no branch on the data, so `torch.compile` and `torch.export`
     take it whole. Gradients flow to the depth and to the intrinsics and are finite everywhere;
-    they are 0 where a pixel has no depth and through a normal that is (0, 0, -1) for want of a
-    neighbour.
+    they are 0 where a pixel has no normal and through one that is (0, 0, -1) for want of a
+    difference in depth.
 
     Parameters
     ----------
@@ -74,7 +74,8 @@ class NIM(nn.Module):
         -------
         (B, 3, H, W) float32, or float64 where the depth is
             Unit vectors (n_x, n_y, n_z) in the camera frame (x right, y down, z forward),
-            pointing at the camera: n·P <= 0. (0, 0, 0) exactly where there is no depth.
+            pointing at the camera: n·P <= 0. (0, 0, 0) exactly where there is no depth, or none at
+            any of the four neighbours.
 
         Raises
         ------
@@ -126,7 +127,8 @@ def _normals(depth: Tensor, intrinsics: Tensor, sign_filter: bool) -> Tensor:
     facing = torch.zeros_like(normal)
     facing[:, 2] = -1
     normal = torch.where(sloped & summed, normal, facing)
-    return torch.where(present, normal, torch.zeros_like(normal))
+    measured = present & (has_left | has_right | has_up | has_down)
+    return torch.where(measured, normal, torch.zeros_like(normal))
 
 
 def _rays(depth: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -12,7 +12,7 @@ from numcodecs import blosc
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
-from nimprep.derive.methods import METHODS, Method, check_method
+from nimprep.derive.methods import FIXED_METHODS, FixedMethod, check_method
 from nimprep.derive.normals import estimate_normals
 from nimprep.errors import ArrayError, StoreError
 from nimprep.frame import IGNORE_LABEL
@@ -29,7 +29,7 @@ from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import Selection
 from nimprep.torch.views import VIEWS
 
-NormalsFrom = Literal["cached", Method]
+NormalsFrom = Literal["cached", FixedMethod]
 """Where normals come from: the store, or a method of `estimate_normals`."""
 
 MADE = ("normal",)
@@ -65,13 +65,13 @@ class StoredImages:
         normals: NormalsFrom = "cached",
         merged: npt.NDArray[np.uint8] | None = None,
     ) -> None:
-        if normals not in ("cached", *METHODS):
-            known = ", ".join(("cached", *METHODS))
+        if normals not in ("cached", *FIXED_METHODS):
+            known = ", ".join(("cached", *FIXED_METHODS))
             raise ArrayError(f"normals: expected one of {known}, found {normals!r}")
         if normals != "cached":
             check_method(normals)  # compiles its kernels before workers start
         self.store = store
-        self._method: Method = "nim" if normals == "cached" else normals
+        self._method: FixedMethod = "nim" if normals == "cached" else normals
         self.merged = np.arange(256, dtype=np.uint8) if merged is None else merged
         self._merges = merged is not None
         self._made = () if normals == "cached" else MADE
@@ -223,5 +223,5 @@ def _lacking(store: Store, name: str, needed: str) -> str:
     if MODALITIES[name].values == "classes":
         advice = "convert a dataset with labels"
     elif name == needed and name in MADE and "depth" in store.modalities:
-        advice += f", or compute them with normals={METHODS[0]!r}"
+        advice += f", or compute them with normals={FIXED_METHODS[0]!r}"
     return f"{store.path}: expected {needed}, found only {there}; {advice}"

@@ -21,6 +21,7 @@ from nimprep.arrays import LEAST_DEPTH_M
 from nimprep.errors import NimprepError
 from tests.arrays.takers import DISPARITY, TAKERS, Argument, Array, Taker, leaves
 from tests.derive.roads import CAMERA, ROADS, plane_of, road_depth
+from tests.derive.test_normals import measured
 
 LEAST = np.float32(LEAST_DEPTH_M)
 TINY = [1e-45, 1e-40, 1.1754944e-38, 1e-30, 1e-20, 1e-12, float(np.nextafter(LEAST, 0))]
@@ -108,6 +109,7 @@ def problem(taker: Taker, camera: Camera, arrays: dict[str, Any], name: str) -> 
         image = arrays[name]
         least = LEAST if taker.arguments[name].like == "depth" else 0
         some = (image >= least) & (image > 0) & np.isfinite(image)
+        some = measured(some.astype(np.float32)) if taker.beside else some
         first = result[0]
         there = ~np.isnan(first) if np.isnan(taker.absent) else first != taker.absent
         there = there.any(axis=-1) if there.ndim == 3 else there

@@ -55,6 +55,8 @@ class Taker:
         Of the function, "module.function", and what else tells a way to call it apart.
     absent : number
         What its result has exactly where there is no depth; None = that is not promised.
+    beside : bool
+        Whether it has that, too, where none of a pixel's four neighbours has depth.
     gives_depth : bool
         Whether its first result is depth: 0 or at least 0.1 mm.
     """
@@ -63,6 +65,7 @@ class Taker:
     call: Callable[..., Any]
     arguments: dict[str, Argument] = field(default_factory=dict)
     absent: float | None = None
+    beside: bool = False
     gives_depth: bool = False
 
     @property
@@ -195,18 +198,22 @@ TAKERS = (
         lambda camera, depth_m, missing: nimprep.estimate_gravity(depth_m, camera, missing),
         {"depth_m": depth(FULL), "missing": Argument(MISSING, True)},
     ),
-    Taker("nimprep.estimate_normals nim", _normals(), {"depth_m": depth(HOLES)}, absent=0),
+    Taker(
+        "nimprep.estimate_normals nim", _normals(), {"depth_m": depth(HOLES)}, absent=0, beside=True
+    ),
     Taker(
         "nimprep.estimate_normals sign filter",
         _normals(sign_filter=True),
         {"depth_m": depth(HOLES)},
         absent=0,
+        beside=True,
     ),
     Taker(
         "nimprep.estimate_normals nim-edge",
         _normals(method="nim-edge"),
         {"depth_m": depth(HOLES)},
         absent=0,
+        beside=True,
     ),
     *(
         Taker(
@@ -214,6 +221,7 @@ TAKERS = (
             _normals(method="nim-edge", noise=noise),
             {"depth_m": depth(HOLES)},
             absent=0,
+            beside=True,
         )
         for noise in (0.01, 1e300, 5e-324)
     ),

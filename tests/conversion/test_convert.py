@@ -84,7 +84,7 @@ def test_normals_can_be_kept_finer(gmrp: Path, tmp_path: Path) -> None:
     assert np.abs(exact - frame.normal).max() < 1e-4
     assert store.attributes["modalities"]["normal"] == {
         "method": "nim",
-        "parameters": {"sign_filter": True, "fill": "none"},
+        "parameters": {"sign_filter": True, "lone": "none", "fill": "none"},
         "dtype": "int16",
     }
     assert validate_store(store.path, deep=True).problems == []

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import nimprep
 from nimprep.cli import main
+from nimprep.conversion.options import ConvertOptions
 from nimprep.derive.modalities import recipe_from
-from nimprep.errors import ArrayError
+from nimprep.errors import ArrayError, StoreError
 from nimprep.store.checksums import with_digest
 from nimprep.store.validate import validate_store
-from tests.fakes import write_gmrp
+from tests.fakes import write_gmrp, write_png
 
 CAMERA = (30.0, 31.0, 15.0, 11.0)
 
@@ -41,7 +44,7 @@ def test_convert_makes_edge_aware_normals_and_says_how(
     store = nimprep.open_store(tmp_path / "s.zarr")
     made = store.attributes["modalities"]["normal"]
     assert made["method"] == "nim-edge"
-    assert made["parameters"] == {"noise": noise, "fill": "none"}
+    assert made["parameters"] == {"noise": noise, "lone": "none", "fill": "none"}
     frame, given = store[1], None if noise == "estimated" else noise
     exact = nimprep.estimate_normals(frame.depth_m, frame.camera, "nim-edge", noise=given)
     assert np.abs(exact - frame.normal).max() < 0.01
@@ -109,3 +112,77 @@ def test_training_takes_edge_aware_normals_of_the_stored_depth(raw: Path, tmp_pa
     assert np.array_equal(dataset[1]["inputs"][3:].numpy(), np.moveaxis(expected, 2, 0))
     (batch,) = StoreLoader(dataset, batch_size=3)
     assert np.array_equal(batch["inputs"][1, 3:].numpy(), np.moveaxis(expected, 2, 0))
+
+
+def lone_frames(root: Path) -> Path:
+    """Write frames in whose depth every pixel of the left half is alone."""
+    write_gmrp(root, frames=3)
+    v, u = np.mgrid[:24, :32]
+    for path in (root / "depth_u16").iterdir():
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        write_png(path, np.where((u < 16) & ((u + v) % 2 == 0), 0, raw).astype(np.uint16))
+    return root
+
+
+def as_earlier(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let conversions make normals as before pixels alone had none."""
+    plain = ConvertOptions.recipe.fget
+    monkeypatch.setattr(
+        ConvertOptions, "recipe", property(lambda self: replace(plain(self), lone_normals=True))
+    )
+
+
+def test_pixels_alone_have_no_normal_in_a_store_and_it_says_so(tmp_path: Path) -> None:
+    root = lone_frames(tmp_path / "gmrp")
+    store = nimprep.convert(root, tmp_path / "s.zarr", camera=CAMERA)
+    assert store.attributes["modalities"]["normal"]["parameters"]["lone"] == "none"
+    frame = store[0]
+    alone = (frame.depth_m > 0) & (np.arange(32) < 15)
+    assert alone.sum() > 100
+    assert not frame.normal[alone].any()
+    assert validate_store(store.path, deep=True).problems == []
+
+
+def test_a_store_whose_pixels_alone_face_the_camera_is_valid_and_goes_on_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = lone_frames(tmp_path / "gmrp")
+    with monkeypatch.context() as earlier:
+        as_earlier(earlier)
+        store = nimprep.convert(root, tmp_path / "s.zarr", camera=CAMERA)
+    assert "lone" not in store.attributes["modalities"]["normal"]["parameters"]
+    later = lone_frames(tmp_path / "more")
+    for folder in ("rgb", "depth_u16", "depth_u8", "label"):
+        for path in (later / folder).iterdir():
+            path.rename(path.with_name(f"1{path.name}"))
+    store = nimprep.append_frames(later, store.path, camera=CAMERA).store
+    for number in (0, 5):
+        frame = store[number]
+        alone = (frame.depth_m > 0) & (np.arange(32) < 15)
+        assert (frame.normal[alone] == (0, 0, -1)).all()
+    assert validate_store(store.path, deep=True).problems == []
+    # What is of the other kind is found, in either.
+    relabel(store.path, {"lone": "none"})
+    assert any("depth is beside depth" in p for p in validate_store(store.path, deep=True).problems)
+
+
+def test_stores_of_which_one_has_normals_alone_are_not_merged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = lone_frames(tmp_path / "gmrp")
+    nimprep.convert(root, tmp_path / "a.zarr", camera=CAMERA)
+    as_earlier(monkeypatch)
+    nimprep.convert(root, tmp_path / "b.zarr", camera=CAMERA)
+    with pytest.raises(StoreError, match=r"expected normal .*lone.*, found .*; convert one"):
+        nimprep.merge_stores(
+            [tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr", prefixes=["a", "b"]
+        )
+
+
+def relabel(path: object, parameters: dict[str, object]) -> None:
+    """Let a store's attributes say something else of how its normals were made."""
+    file = Path(str(path)) / "zarr.json"
+    root = json.loads(file.read_text())
+    root["attributes"]["nimprep"]["modalities"]["normal"]["parameters"] |= parameters
+    root["attributes"]["nimprep"] = with_digest(root["attributes"]["nimprep"])
+    file.write_text(json.dumps(root))

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from nimprep import Camera, estimate_normals
+from nimprep.kitti.calibration import read_calibration
+from nimprep.kitti.depth import frame_depth
+from nimprep.kitti.layout import list_road_files
 from tests.naive import normals as naive
 
 CAMERA = Camera(fx=100.0, fy=120.0, cx=30.3, cy=21.6, width=64, height=48)
@@ -38,6 +41,13 @@ def angle_deg(a, b):
 def with_holes(depth, share, seed=0):
     holes = np.random.default_rng(seed).random(depth.shape) < share
     return np.where(holes, np.float32(0), depth)
+
+
+def measured(depth):
+    """Return where depth is and beside it, above, below, left or right: there a normal is."""
+    some = np.pad(depth > 0, 1)
+    beside = some[1:-1, :-2] | some[1:-1, 2:] | some[:-2, 1:-1] | some[2:, 1:-1]
+    return (depth > 0) & beside
 
 
 def scene(seed=0, camera=CAMERA):
@@ -168,12 +178,35 @@ def test_with_the_sign_filter_level_ground_keeps_its_normal():
     np.testing.assert_allclose(found[1, 0], (0, -1, 0), atol=1e-6)
 
 
-def test_a_pixel_alone_faces_the_camera():
+@pytest.mark.parametrize("sign_filter", [False, True])
+def test_a_pixel_alone_has_no_normal(sign_filter):
     depth = np.zeros((3, 3), np.float32)
     depth[1, 1] = 2
-    found = estimate_normals(depth, AXIS)
+    depth[0, 0] = 2  # across a corner: no difference along an axis
+    assert not estimate_normals(depth, AXIS, sign_filter=sign_filter).any()
+
+
+@pytest.mark.parametrize("sign_filter", [False, True])
+@pytest.mark.parametrize("beside", [(0, 1), (2, 1), (1, 0), (1, 2)])
+def test_one_neighbour_as_far_is_a_difference_that_was_measured(beside, sign_filter):
+    depth = np.zeros((3, 3), np.float32)
+    depth[1, 1] = depth[beside] = 2
+    found = estimate_normals(depth, AXIS, sign_filter=sign_filter)
     assert np.array_equal(found[1, 1], (0, 0, -1))
-    assert np.count_nonzero(found) == 1
+    assert np.array_equal(found[beside], (0, 0, -1))
+    assert np.count_nonzero(found) == 2
+
+
+@pytest.mark.parametrize("method", ["nim", "nim-edge"])
+def test_lidar_as_it_was_measured_has_normals_where_points_lie_side_by_side(reference_data, method):
+    (files,) = list_road_files(reference_data / "kitti_lidar")
+    depth = frame_depth(files, "lidar", sparse=True)
+    camera = read_calibration(files.calibration).camera(*depth.shape)
+    found = estimate_normals(depth, camera, method)
+    assert np.array_equal(found.any(axis=-1), measured(depth))
+    # Of 4.5 % with depth five sixths are alone: all of those faced the camera.
+    assert 0.16 < np.mean(found[depth > 0].any(axis=-1)) < 0.17
+    assert np.mean((found[depth > 0] == (0, 0, -1)).all(axis=-1)) < 0.003
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 50), (2, 1), (50, 1), (2, 2), (3, 17)])

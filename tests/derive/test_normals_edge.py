@@ -17,6 +17,7 @@ from tests.derive.test_normals import (
     CAMERA,
     NORMALS,
     angle_deg,
+    measured,
     plane_depth,
     rays,
     scene,
@@ -132,7 +133,7 @@ def test_any_depth_gives_what_the_slow_twin_gives(sigma, share, scale):
     if share < 0.5:
         assert smoothing.side == {0: 0, 1e-3: 8, 0.1: 16}[sigma]
     expected = naive.estimate_normals(depth, CAMERA, multiple, smoothing)
-    error = angle_deg(found, expected)[depth > 0]
+    error = angle_deg(found, expected)[measured(depth)]
     # float32 against float64; cells pass through three sums and two fits.
     assert error.max() < 0.05
     assert np.percentile(error, 99) < 0.002
@@ -147,7 +148,7 @@ def test_noise_that_grows_with_inverse_depth_gives_what_the_slow_twin_gives():
     assert (smoothing.side, smoothing.variance) == (8, 0)
     assert smoothing.quartic > 0
     expected = naive.estimate_normals(depth, CAMERA, multiple, smoothing)
-    assert angle_deg(edge(depth, CAMERA), expected)[depth > 0].max() < 0.05
+    assert angle_deg(edge(depth, CAMERA), expected)[measured(depth)].max() < 0.05
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 50), (2, 1), (50, 1), (2, 2), (3, 17)])
@@ -163,12 +164,25 @@ def test_thin_images_give_what_the_slow_twin_gives(shape, share, sigma):
     np.testing.assert_allclose(edge(depth, camera, noise=sigma), expected, atol=1e-4)
 
 
-def test_a_pixel_alone_faces_the_camera():
+@pytest.mark.parametrize("noise", [None, 0.0, 0.02])
+def test_a_pixel_alone_has_no_normal_even_where_cells_have_planes(noise):
+    depth = plane_depth(unit((0.2, -0.5, -1)), 2.0, CAMERA)
+    # Lone pixels in a field that is dense around it, each without any of its four neighbours.
+    for v, u in ((20, 30), (24, 34)):
+        depth[v, u - 1] = depth[v, u + 1] = depth[v - 1, u] = depth[v + 1, u] = 0
+    found = edge(depth, CAMERA, noise=noise)
+    assert np.array_equal(found.any(axis=-1), measured(depth))
+    assert depth[20, 30] > 0
+    assert not found[20, 30].any()
+
+
+@pytest.mark.parametrize("beside", [(0, 1), (2, 1), (1, 0), (1, 2)])
+def test_one_neighbour_as_far_is_a_difference_that_was_measured(beside):
     depth = np.zeros((3, 3), np.float32)
-    depth[1, 1] = 2
+    depth[1, 1] = depth[beside] = 2
     found = edge(depth, Camera(fx=1, fy=1, cx=1, cy=1, width=3, height=3))
     assert np.array_equal(found[1, 1], (0, 0, -1))
-    assert np.count_nonzero(found) == 1
+    assert np.count_nonzero(found) == 2
 
 
 def test_a_row_alone_has_the_slope_along_itself():
@@ -184,8 +198,9 @@ def test_normals_are_unit_where_depth_is_and_look_at_the_camera(depth, noise):
     camera = camera_of(depth)
     found = edge(depth, camera, noise=noise)
     length = np.linalg.norm(found.astype(np.float64), axis=-1)
-    assert np.all(found[depth == 0] == 0)
-    assert np.all(np.abs(length[depth > 0] - 1) < 1e-6)
+    some = measured(depth)
+    assert np.all(found[~some] == 0)
+    assert np.all(np.abs(length[some] - 1) < 1e-6)
     assert np.all(np.sum(found * rays(camera), axis=-1) < 1e-6)
 
 
@@ -198,7 +213,7 @@ def test_normals_are_unit_where_depth_is_and_look_at_the_camera(depth, noise):
 )
 def test_even_absurd_depths_give_unit_vectors(depth, noise):
     length = np.linalg.norm(edge(depth, camera_of(depth), noise=noise).astype(np.float64), axis=-1)
-    assert np.array_equal(np.round(length, 5), (depth >= 1e-4).astype(np.float64))
+    assert np.array_equal(np.round(length, 5), measured(depth >= 1e-4).astype(np.float64))
 
 
 @pytest.mark.parametrize("sigma", [0, 1e-3])

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import asdict
 
+import numpy as np
 import pytest
 
 from nimprep.camera import Camera
-from nimprep.doubts.depth import camera_signs, depth_signs
+from nimprep.doubts.depth import camera_signs, depth_signs, staircase_signs
 from nimprep.doubts.judge import RULES, TITLES, Doubt, judge, sentence
 from nimprep.doubts.labels import LABEL_KINDS
 from nimprep.doubts.raw import raw_signs
@@ -19,6 +20,7 @@ GOOD = {
     **depth_signs(street(), CAMERA, 65.535),
     **camera_signs(CAMERA),
     "exif_orientation": 1.0,
+    **staircase_signs(street(), np.ones(street().shape, bool)),
 }
 
 DOUBTFUL = {
@@ -28,7 +30,11 @@ DOUBTFUL = {
     "saturated": ({"at_most_raw": 0.03}, '^3% of the raw .* the largest .*"invalid"'),
     "disparity-name": ({"disparity_name": 1.0}, 'names.*"values": "disparity"'),
     "grows-downwards": ({"row_correlation": 0.91}, '0.91.*"values": "disparity"'),
-    "sparse": ({"with_neighbours": 0.02}, "^2% .*few as of LiDAR.*--fill linear"),
+    "sparse": (
+        {"with_neighbours": 0.02, "alone": 0.83},
+        "^2% .*few as of LiDAR.* 83% have no normal.*--fill linear",
+    ),
+    "staircase": ({"staircase": 0.3}, "^30% .*filled in .*steps.*--fill linear$"),
     "camera-height": ({"camera_height_m": 13.2}, "13.2 m above .*--depth-scale"),
     "normalised-camera": ({"focal_px": 0.86, "view_deg": 179.0}, "0.86 pixels, as where .* share"),
     "principal-point": ({"cx_share": 7.5, "cy_share": 5.6}, "cx at 7.5 of its width"),

@@ -67,6 +67,8 @@ def estimate_normals(depth, camera, sign_filter=False):
         for u in range(width):
             if not has_depth(depth, u, v):
                 continue
+            if not any(has_depth(depth, u + du, v + dv) for du, dv in (LEFT, RIGHT, UP, DOWN)):
+                continue
             found = candidates(depth, camera, u, v)
             if sign_filter:
                 found = with_majority_sign(found)

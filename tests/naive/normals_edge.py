@@ -153,14 +153,18 @@ def estimate_normals(depth, camera, scale, smoothing):
     out = np.zeros((*depth.shape, 3))
     for v, u in zip(*np.nonzero(r), strict=True):
         found = [(g_u[v, u], g_v[v, u], 8 * weight_of(energy[v, u]))]
+        beside = 0
         for du, dv in AROUND:
             j, i = v + dv, u + du
             if 0 <= j < r.shape[0] and 0 <= i < r.shape[1] and r[j, i] > 0:
+                beside += 1
                 miss = float(r[v, u]) - (float(r[j, i]) - g_u[j, i] * du - g_v[j, i] * dv)
                 weight = weight_of(energy[j, i] + 8 * miss**2)
                 found.append((g_u[j, i], g_v[j, i], weight))
         if smoothing.side:
             found += cell_shares(planes, r, v, u, smoothing)
+        if not beside:
+            continue
         total = sum(weight for _, _, weight in found)
         a = sum(weight * g for g, _, weight in found) / total
         b = sum(weight * g for _, g, weight in found) / total
