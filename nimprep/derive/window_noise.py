@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.kernels.inverse_depth_windows import window_moments
+from nimprep.kernels.inverse_depth_windows import fit_left, window_moments
 
 _ROWS, _COLUMNS = 12, 20
 """Windows over an image, down and across."""
@@ -19,8 +19,8 @@ _STEP = 2
 _LEAST_SHARE = 0.6
 _LEAST_WINDOWS = 32
 
-_PLANE = ((0, 0), (1, 0), (0, 1))
-_QUADRIC = (*_PLANE, (2, 0), (1, 1), (0, 2))
+# Terms of what is fitted, see `fit_left`.
+_PLANE, _QUADRIC = 3, 6
 
 # The windows with the least left are those with a plane in them: a fifth of the image is enough.
 _FLATTEST = 20
@@ -37,20 +37,19 @@ _WHOLE = 1.4
 
 @dataclass(frozen=True)
 class _Windows:
-    """Hold what is left in each window, as standard deviations of inverse depth, 1/m."""
+    """Hold what is left in the flattest windows, as standard deviations of inverse depth, 1/m.
 
-    of_plane: npt.NDArray[np.float64]
-    of_quadric: npt.NDArray[np.float64]
+    Attributes
+    ----------
+    count : int
+        Of the windows that have depth enough.
+    plane, quadric : float
+        What is left by either.
+    """
 
-    @property
-    def plane(self) -> float:
-        """What the flattest windows leave of a plane."""
-        return float(np.percentile(self.of_plane, _FLATTEST))
-
-    @property
-    def quadric(self) -> float:
-        """What they leave of a quadric."""
-        return float(np.percentile(self.of_quadric, _FLATTEST))
+    count: int
+    plane: float
+    quadric: float
 
 
 def sigma_in_windows(depth_m: npt.NDArray[np.float32]) -> float:
@@ -73,10 +72,10 @@ def sigma_in_windows(depth_m: npt.NDArray[np.float32]) -> float:
     )
     centres = np.stack(np.meshgrid(v, u, indexing="ij"), axis=-1).reshape(-1, 2)
     large = _windows(depth_m, centres, _HALF)
-    if large.of_plane.size < _LEAST_WINDOWS or large.quadric < _LEAST_LEFT * large.plane:
+    if large.count < _LEAST_WINDOWS or large.quadric < _LEAST_LEFT * large.plane:
         return 0.0
     small = _windows(depth_m, centres, _HALF // 2)
-    if small.of_plane.size == 0 or large.plane > _MOST_GROWTH * small.plane:
+    if small.count == 0 or large.plane > _MOST_GROWTH * small.plane:
         return 0.0
     return _WHOLE * large.plane
 
@@ -89,26 +88,9 @@ def _windows(
     window_moments(depth_m, np.ascontiguousarray(centres), half, _STEP, moments, sums)
     pixels = (2 * half // _STEP + 1) ** 2
     enough = moments[:, 0, 0, 0] >= _LEAST_SHARE * pixels
-    moments, squares = moments[enough], sums[enough, 0]
-    plane, quadric = (_left(moments, squares, basis) for basis in (_PLANE, _QUADRIC))
-    return _Windows(plane, quadric)
-
-
-def _left(
-    moments: npt.NDArray[np.float64],
-    squares: npt.NDArray[np.float64],
-    basis: tuple[tuple[int, int], ...],
-) -> npt.NDArray[np.float64]:
-    """Return the standard deviation that least squares by these x**a * y**b leaves."""
-    products = np.empty((len(moments), len(basis), len(basis)))
-    for i, (a, b) in enumerate(basis):
-        for j, (c, d) in enumerate(basis):
-            products[:, i, j] = moments[:, 0, a + c, b + d]
-    right = np.stack([moments[:, 1, a, b] for a, b in basis], axis=-1)
-    # Where the pixels lie in one line there is more than one such plane: any will do.
-    count = moments[:, 0, 0, 0]
-    products += 1e-13 * count[:, None, None] * np.eye(len(basis))
-    fitted = np.linalg.solve(products, right[..., None])[..., 0]
-    rest = np.maximum(squares - (fitted * right).sum(axis=-1), 0)
-    left: npt.NDArray[np.float64] = np.sqrt(rest / np.maximum(count - len(basis), 1))
-    return left
+    moments, sums = moments[enough], sums[enough]
+    left = np.empty((2, len(moments)))
+    fit_left(moments, sums, _PLANE, left[0])
+    fit_left(moments, sums, _QUADRIC, left[1])
+    plane, quadric = np.percentile(left, _FLATTEST, axis=1) if left.size else (0.0, 0.0)
+    return _Windows(len(moments), float(plane), float(quadric))

@@ -35,14 +35,16 @@ def window_moments(
     of x**a * y**b and in moments[k, 1] those of r * x**a * y**b (a + b up to 2 are written), at
     [a, b]; in sums[k] those of r**2, and the inverse depth that was taken off.
     """
+    # Made once: made row by row they took a third of the time.
+    row, r_row = np.zeros(WIDTH), np.zeros(3)
     for k in range(centres.shape[0]):
         v0, u0 = centres[k, 0], centres[k, 1]
         moments[k] = 0.0
         squares, first = 0.0, 0.0
         for j in range(-half, half + 1, step):
             y = j / half
-            row = np.zeros(WIDTH)
-            r_row = np.zeros(3)
+            row[:] = 0.0
+            r_row[:] = 0.0
             for i in range(-half, half + 1, step):
                 z = depth_m[v0 + j, u0 + i]
                 if not z > 0:
@@ -71,3 +73,51 @@ def window_moments(
                         moments[k, 1, a, b] += r_row[a] * power
                 power *= y
         sums[k, 0], sums[k, 1] = squares, first
+
+
+@kernel(inline=True)
+def _exponents(k: int) -> tuple[int, int]:
+    """Return (a, b) of the k-th term x**a * y**b: those of a plane first, then a quadric's."""
+    if k < 3:
+        return (1, 0) if k == 1 else (0, 1 if k == 2 else 0)
+    return (5 - k, k - 3)
+
+
+@kernel(void(float64[:, :, :, ::1], float64[:, ::1], int64, float64[::1]))
+def fit_left(
+    moments: npt.NDArray[np.float64],
+    sums: npt.NDArray[np.float64],
+    terms: int,
+    out: npt.NDArray[np.float64],
+) -> None:
+    """Write the standard deviation that least squares by the first `terms` terms leave.
+
+    Of what `window_moments` writes; 3 terms are a plane, 6 a quadric. By Cholesky: where the pixels
+    lie in one line there is more than one such plane, and any will do.
+    """
+    lower = np.zeros((terms, terms))
+    forward = np.zeros(terms)
+    for k in range(moments.shape[0]):
+        count = moments[k, 0, 0, 0]
+        least = 1e-13 * max(count, 1.0)
+        rest = sums[k, 0]
+        for i in range(terms):
+            a, b = _exponents(i)
+            value = moments[k, 1, a, b]
+            for j in range(i + 1):
+                c, d = _exponents(j)
+                product = moments[k, 0, a + c, b + d]
+                if i == j:
+                    product += least
+                for m in range(j):
+                    product -= lower[i, m] * lower[j, m]
+                if i == j:
+                    lower[i, i] = np.sqrt(max(product, least))
+                else:
+                    lower[i, j] = product / lower[j, j]
+            for m in range(i):
+                value -= lower[i, m] * forward[m]
+            forward[i] = value / lower[i, i]
+            # What is explained is the square of the solved half.
+            rest -= forward[i] * forward[i]
+        out[k] = np.sqrt(max(rest, 0.0) / max(count - terms, 1.0))
