@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from nimprep.depth_unit import MILLIMETRE, depth_unit_from
 from nimprep.derive.methods import FILLS as FILLS
-from nimprep.derive.methods import ElevationRoad, Fill, Ground, Method, check_method
+from nimprep.derive.methods import FIXED_METHODS, ElevationRoad, Fill, Ground, Method, check_method
 from nimprep.errors import ArrayError
 from nimprep.frame import VIRTUAL_BASELINE_M, Frame
 from nimprep.modality import MODALITIES
@@ -106,6 +106,10 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
         It is none that this version knows.
     """
     normal = modalities.get("normal", {"method": "nim", "parameters": {}})
+    if normal["method"] not in FIXED_METHODS:
+        raise ArrayError(
+            f"normals: expected one of {', '.join(FIXED_METHODS)}, found {normal['method']!r}"
+        )
     noise = normal["parameters"].get("noise", "estimated")
     derived = [modalities[m]["parameters"] for m in DERIVED if m in modalities]
     stored = modalities.get("depth", {"parameters": {}})["parameters"]
