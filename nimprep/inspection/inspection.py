@@ -18,7 +18,13 @@ from nimprep.inspection.encodings import Encoding
 from nimprep.inspection.examination import Examination, Plane, examined
 from nimprep.inspection.holdings import Holding, holding_at
 from nimprep.inspection.kinds import Kind
-from nimprep.inspection.layouts import description_of, fitting_reader, is_known, reader_of_names
+from nimprep.inspection.layouts import (
+    description_of,
+    fitting_reader,
+    is_known,
+    needs_camera,
+    reader_of_names,
+)
 from nimprep.inspection.survey import Survey, survey_folder
 from nimprep.readers import ReaderName
 from nimprep.readers.description_file import description_from_document
@@ -172,8 +178,9 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
     if fitting:
         made.reader, frames = fitting
         made.kind, made.what = "reader", f"a dataset of {frames} frames in the layout {fitting[0]}"
-        made.next_steps = [f"nimprep convert {made.source} OUT.zarr"]
         made.description = description_of(fitting[0], made.source)
+        camera = " --intrinsics fx,fy,cx,cy" if needs_camera(made.description) else ""
+        made.next_steps = [f"nimprep convert {made.source} OUT.zarr{camera}"]
     elif found.planes:
         made.kind, made.what = "images", _summary(found)
         _describe(made, found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,9 @@ def reader_of_names(names: Iterable[str]) -> ReaderName | None:
 MOST_FOLDERS = 400
 """So many folders are looked into for a dataset near a folder."""
 
+ANY_CAMERA = (1.0, 1.0, 0.0, 0.0)
+"""To count the frames of a dataset that does not say its own."""
+
 
 def description_of(name: ReaderName, root: Path) -> dict[str, Any] | None:
     """Return the description of a dataset known by name, as it is in a folder; None = has none."""
@@ -45,6 +48,11 @@ def description_of(name: ReaderName, root: Path) -> dict[str, Any] | None:
     if layout.dataset is None:
         return None
     return description_in(layout.dataset, root, place_of(layout, root, Listings()) or root)
+
+
+def needs_camera(description: Mapping[str, Any] | None) -> bool:
+    """Return whether a dataset does not say its camera, so that the user has to."""
+    return description is not None and description.get("camera") is False
 
 
 def fitting_reader(root: Path, notes: list[str]) -> tuple[ReaderName, int] | None:
@@ -63,9 +71,11 @@ def fitting_reader(root: Path, notes: list[str]) -> tuple[ReaderName, int] | Non
             continue
         if known is None and not any((root / mark).is_dir() for mark in layout.marks):
             continue
+        camera = ANY_CAMERA if needs_camera(description_of(name, root)) else None
         for labels in (True, False):
             try:
-                reader = open_reader(root, ReaderOptions(reader=name), labels=labels)
+                options = ReaderOptions(reader=name, camera=camera)
+                reader = open_reader(root, options, labels=labels)
                 if reader.ids:
                     reader.shape(reader.ids[0])
                     return name, len(reader.ids)

@@ -200,6 +200,8 @@ class CameraSource:
     pixel_origin : {0, 1}
     baseline_m : float, optional
     distortion : {"undistort", "refuse", "rectified"}
+    unknown : bool
+        The dataset has none: it must be given.
     """
 
     numbers: dict[str, Any] | None = None
@@ -211,6 +213,7 @@ class CameraSource:
     pixel_origin: int = 0
     baseline_m: float | None = None
     distortion: DistortionRule = "undistort"
+    unknown: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

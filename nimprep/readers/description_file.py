@@ -232,6 +232,8 @@ def _label(document: Mapping[str, Any], classes: tuple[LabelClass, ...], where: 
 def _camera(given: Any, where: str) -> CameraSource:
     if isinstance(given, str):
         return CameraSource(files=given)
+    if given is False:
+        return CameraSource(unknown=True)
     if "files" not in given:
         _refuse_misspelt(given, where)
         rule = given.get("distortion")

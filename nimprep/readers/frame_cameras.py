@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from nimprep.errors import CameraError, LayoutError
+from nimprep.errors import CameraError, LayoutError, OptionError
 from nimprep.readers.base import CalibrationOrigin
 from nimprep.readers.camera_formats import CameraNumbers, CameraTable, numbers_from_file
 from nimprep.readers.cameras import (
@@ -45,6 +45,8 @@ class FrameCameras:
         No frame has a camera.
     CameraError
         The file for all is no camera.
+    OptionError
+        The dataset has none, and none is given.
     """
 
     def __init__(
@@ -71,6 +73,11 @@ class FrameCameras:
     ) -> GivenCamera | None:
         if source is None:
             return nominal_camera()
+        if source.unknown:
+            raise OptionError(
+                f"{root}: expected --camera FILE or --intrinsics fx,fy,cx,cy, as this dataset "
+                "does not say its camera, found neither; give one of the two"
+            )
         if source.files is None:
             return camera_from_document(source.numbers, f"{root}: 'camera'", source)
         if not any(mark in source.files for mark in "{*?"):

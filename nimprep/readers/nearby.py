@@ -7,11 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 _MOST_FOLDERS = 200
-_LEVELS_ABOVE = 3
+_LEVELS_ABOVE = 5
+"""As deep as a folder of images may lie: Scene01/clone/frames/rgb/Camera_0."""
 
 
 def nearby_dataset(root: Path, is_known: Callable[[Path], bool]) -> Path | None:
-    """Return the folder that is a dataset within a folder, at most 2 deep, or above it, at most 3.
+    """Return the folder that is a dataset within a folder, at most 2 deep, or above it, at most 5.
 
     Of at most 200 folders within it is asked.
 
@@ -30,11 +31,13 @@ def nearby_dataset(root: Path, is_known: Callable[[Path], bool]) -> Path | None:
                 return folder
             if looked >= _MOST_FOLDERS:
                 return None
+    return dataset_above(root, is_known)
+
+
+def dataset_above(root: Path, is_known: Callable[[Path], bool]) -> Path | None:
+    """Return the folder above another, at most 5 levels, that is a dataset."""
     above = Path(os.path.abspath(root))  # noqa: PTH100 - "." has no parent otherwise
-    for folder in above.parents[:_LEVELS_ABOVE]:
-        if is_known(folder):
-            return folder
-    return None
+    return next((each for each in above.parents[:_LEVELS_ABOVE] if is_known(each)), None)
 
 
 def _folders(folder: Path) -> list[Path]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from nimprep.errors import LayoutError
 from nimprep.readers.layouts import READERS, Layout, ReaderName
-from nimprep.readers.nearby import nearby_dataset
+from nimprep.readers.nearby import dataset_above, nearby_dataset
 from nimprep.readers.signs import Listings, probed
 from nimprep.readers.tree import check_root
 
@@ -36,9 +36,10 @@ def recognised(root: Path) -> Recognised:
     found = known_by_files(root, listings)
     if found is not None:
         return found
-    for name, layout in READERS.items():
-        if any((root / mark).is_dir() for mark in layout.marks):
-            return Recognised(name, root)
+    marked = [n for n, each in READERS.items() if any((root / m).is_dir() for m in each.marks)]
+    # rgb/ alone may be that of a scene, in a dataset of many.
+    if marked and dataset_above(root, lambda folder: _is_one(folder, listings)) is None:
+        return Recognised(marked[0], root)
     entries = sorted(p.name for p in root.iterdir())[:5]
     there = ", ".join(entries) if entries else "an empty folder"
     known = ", ".join(READERS)
@@ -68,6 +69,14 @@ def known_by_files(root: Path, listings: Listings) -> Recognised | None:
             f"which is meant with --reader {left[0]}"
         )
     return Recognised(left[0], fitting[left[0]]) if left else None
+
+
+def _is_one(folder: Path, listings: Listings) -> bool:
+    """Return whether a folder has the files of one dataset that is known."""
+    try:
+        return known_by_files(folder, listings) is not None
+    except LayoutError:
+        return False
 
 
 def place_of(layout: Layout, root: Path, listings: Listings) -> Path | None:
