@@ -23,6 +23,9 @@ SplitRule = Literal["frame", "group", "stratified", "eighth"]
 SPLIT_RULES: tuple[SplitRule, ...] = get_args(SplitRule)
 """By frame; by whole scenes; by frame within each scene; an eighth of each scene for val."""
 
+LEAST_GROUPS = 3
+"""So many scenes are needed for three splits of whole ones."""
+
 SPLITS: dict[str, SplitName] = {"train": "train", "val": "val", "test": "test"}
 
 SPLIT_NAMES: dict[int, str] = {code: name for name, code in SPLIT_CODES.items()}
@@ -97,9 +100,10 @@ def split_by_group(groups: Mapping[str, str], seed: int = 0) -> dict[str, SplitN
     """
     _check_named(groups)
     sizes = Counter(groups.values())
-    if len(sizes) < 3:
+    if len(sizes) < LEAST_GROUPS:
         raise SplitError(
-            f"split by group: expected at least 3 groups, found {len(sizes)}; split by frame"
+            f"split by group: expected at least {LEAST_GROUPS} groups, found {len(sizes)}; "
+            "split by frame"
         )
     chosen = _choose_scenes(sizes, {}, held_out_count(len(groups)), seed)
     return {i: chosen[group] for i, group in groups.items()}

@@ -108,8 +108,9 @@ class ReaderOptions(Options):
     def _camera_chosen(self) -> Any:
         """Return the camera's file or numbers; a number alone is its index, unless it is a file."""
         given: Any = self.camera
-        if isinstance(given, str) and given.isdecimal() and not Path(given).exists():
-            given = int(given)
+        written = str(given) if isinstance(given, (str, PathLike)) else ""
+        if written.isdecimal() and not Path(written).exists():
+            given = int(written)
         if not isinstance(given, Integral) or isinstance(given, bool):
             return given
         if self.camera_index not in (None, given):

@@ -158,11 +158,16 @@ class LabelSource(PlaneSource):
     colors : mapping of (r, g, b) to class id, optional
     default : int, optional
         Class of what neither names; None = that is an error.
+    names : str, optional
+        Pattern of text files that name colours, a line each; their classes go before `colors`.
+    named : mapping of such a name to class id
     """
 
     ranges: tuple[tuple[int, int, int], ...] | None = None
     colors: Mapping[Color, int] | None = None
     default: int | None = None
+    names: str | None = None
+    named: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,6 +271,8 @@ class Description:
         None = files of equal placeholders belong together.
     size : {"rgb", "depth"} or (width, height), optional
         To which registered images of different size are brought.
+    split_by : {"frame", "group"}, optional
+        The rule that is usual where its authors chose no split.
     only : mapping of placeholder to values
         Frames whose placeholders stand for others are passed over.
     hha_ground : {"floor", "lowest"}, optional
@@ -289,6 +296,7 @@ class Description:
     no_split: bool = False
     match: Match | None = None
     size: Size | None = None
+    split_by: Literal["frame", "group"] | None = None
     only: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     hha_ground: Ground | None = None
     reference: Reference | None = None

@@ -78,6 +78,7 @@ def description_from_document(document: Any, where: str) -> Description:
         no_split=document.get("split") is False,
         match=_match(document.get("match")),
         size=_frozen(document.get("size")),
+        split_by=document.get("split_by"),
         only={name: tuple(values) for name, values in document.get("only", {}).items()},
         hha_ground=document.get("hha_ground"),
         reference=Reference(**document["reference"]) if "reference" in document else None,
@@ -223,6 +224,10 @@ def _label(document: Mapping[str, Any], classes: tuple[LabelClass, ...], where: 
     source = LabelSource(**_plane(document, "default"))
     if source.default is not None:
         check_classes([source.default], classes, where)
+    if "colors" in document:
+        of_names = {name: int(value) for name, value in document["colors"]["map"].items()}
+        check_classes(of_names.values(), classes, where)
+        source = replace(source, names=document["colors"]["files"], named=of_names)
     named = document.get("map")
     if named is None:
         return source

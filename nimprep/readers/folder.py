@@ -17,6 +17,7 @@ from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
 from nimprep.readers.base import DatasetInfo, OfficialSplit, ReaderBase
 from nimprep.readers.cameras import GivenCamera
+from nimprep.readers.color_names import NamedColors
 from nimprep.readers.color_values import color_image, color_notes
 from nimprep.readers.depth_values import (
     check_scale_option,
@@ -26,7 +27,13 @@ from nimprep.readers.depth_values import (
     raw_depth,
 )
 from nimprep.readers.depth_warp import check_depth_camera
-from nimprep.readers.description import CONFIDENCE, Description, DistortionRule, Size
+from nimprep.readers.description import (
+    CONFIDENCE,
+    Description,
+    DistortionRule,
+    LabelSource,
+    Size,
+)
 from nimprep.readers.description_file import description_from_file
 from nimprep.readers.extra_values import extra_image, extra_record
 from nimprep.readers.frame_cameras import FrameCameras
@@ -35,7 +42,7 @@ from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
 from nimprep.readers.matching import Place, check_group, formatted, group_of, matched_frames
 from nimprep.readers.missing import judged
-from nimprep.readers.official_splits import official_splits, without_labelled
+from nimprep.readers.official_splits import official_splits, usual_rule, without_labelled
 from nimprep.readers.orientation import orientation_signs
 from nimprep.readers.registration import (
     Cameras,
@@ -122,10 +129,13 @@ class FolderReader(ReaderBase):
             self.root, description.camera, self._matched, camera, distortion
         )
         self._depth_cameras = self._cameras_of_depth(distortion)
+        self._colors = NamedColors(self.root, description.label, self._matched)
         of_depth = {} if self._depth_cameras is None else self._depth_cameras.lacking
-        lacking = {**of_depth, **self._cameras.lacking, **self._matched.lacking}
+        lacking = {**self._colors.lacking, **of_depth, **self._cameras.lacking}
+        lacking |= self._matched.lacking
         self._matched = replace(self._matched, lacking=lacking)
         nominal = (_NOMINAL_NOTE,) if self._cameras.origin == "nominal" else ()
+        rule, rule_notes = usual_rule(description, map(self.group, self.ids))
         self.info = DatasetInfo(
             name=description.name,
             classes=description.classes if "label" in self._matched.places else (),
@@ -133,6 +143,7 @@ class FolderReader(ReaderBase):
             has_depth="depth" in self._matched.places,
             depth=self._depth_numbers(),
             planes=self._planes(),
+            split_by=rule,
             hha_ground=description.hha_ground,
             reference=description.reference,
             notes=(
@@ -141,6 +152,7 @@ class FolderReader(ReaderBase):
                 *self._distortion_notes(),
                 *self._matched.notes,
                 *self._splits.notes,
+                *(rule_notes if official and not self._splits.of_frame else ()),
                 *self._label_notes(),
                 *color_notes(description.rgb),
             ),
@@ -212,7 +224,8 @@ class FolderReader(ReaderBase):
         """
         images = (place.path for place in self._places(frame_id).values())
         of_depth = self._depth_cameras.sources(frame_id) if self._depth_cameras else ()
-        return tuple(dict.fromkeys((*images, *self._cameras.sources(frame_id), *of_depth)))
+        said = (*self._cameras.sources(frame_id), *of_depth, *self._colors.sources(frame_id))
+        return tuple(dict.fromkeys((*images, *said)))
 
     def shape(self, frame_id: str) -> tuple[int, int]:
         """Return (height, width) of the frame's images, from headers."""
@@ -230,7 +243,8 @@ class FolderReader(ReaderBase):
         wanted = {*modalities, CONFIDENCE}
         of_depth = None if self._depth_cameras is None else self._depth_cameras.of(frame_id)
         chosen = {n: p for n, p in places.items() if n in wanted}
-        images, signs = self._images(chosen, of_depth or camera)
+        labels = self._colors.source(frame_id) if "label" in chosen else None
+        images, signs = self._images(chosen, of_depth or camera, labels)
         absent = {n for n in self._matched.places if n in modalities and n not in places}
         if not images:
             made = Registered({}, camera.camera(*self.shape(frame_id), frame_id))
@@ -273,7 +287,7 @@ class FolderReader(ReaderBase):
         )
 
     def _images(
-        self, places: dict[str, Place], camera: GivenCamera
+        self, places: dict[str, Place], camera: GivenCamera, labels: LabelSource | None
     ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, float]]:
         """Decode what is wanted of a frame, each image as its file's size, and depth's signs."""
         described = self._description
@@ -292,8 +306,8 @@ class FolderReader(ReaderBase):
                 scale_m=self._scale,
                 confidence=places.get(CONFIDENCE),
             )
-        if "label" in places and described.label is not None:
-            images["label"] = label_image(places["label"], described.label, described.classes)
+        if "label" in places and labels is not None:
+            images["label"] = label_image(places["label"], labels, described.classes)
         for name, source in described.planes.items():
             if name in places:
                 images[name] = extra_image(places[name], name, source)
@@ -306,4 +320,4 @@ def _relabelled(description: Description, label_map: str | None) -> Description:
         return description
     named = map_from_text(label_map)
     label = with_map(description.label, named, description.classes, "--label-map")
-    return replace(description, label=label)
+    return replace(description, label=replace(label, names=None, named={}))

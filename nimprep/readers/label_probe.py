@@ -39,7 +39,8 @@ def label_notes(
     source = description.label
     if source is None or not some:
         return ()
-    if source.ranges is None and source.colors is None and source.default is None:
+    meant = source.ranges is not None or source.colors is not None or source.named
+    if not meant and source.default is None:
         _refuse_masks(root, some, description)
     try:
         return (_JPEG_NOTE,) if is_jpeg(some[0].path) else ()

@@ -224,6 +224,7 @@ _WAYS = {
     "depth": ", or leave depth out with --modalities rgb,label",
     "label": ", or use --no-labels",
     "camera": ", or give --camera",
+    "colors": ", or use --no-labels",
 }
 """What else can be done where there is no file of a kind."""
 
@@ -235,6 +236,8 @@ def _check_unpacked(
     wanted = {n: s.files for n, s in description.sources() if s.missing not in ("none", "skip")}
     if description.camera is not None and description.camera.files and not given:
         wanted["camera"] = description.camera.files
+    if description.label is not None and description.label.names:
+        wanted["colors"] = description.label.names
     for name, pattern in wanted.items():
         if listings.find(root, probed(pattern)) is not None or listings.cut:
             continue

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from nimprep.errors import LayoutError, SplitError
 from nimprep.readers.base import OfficialSplit
@@ -15,7 +16,7 @@ from nimprep.readers.patterns import placeholders
 from nimprep.readers.split_lists import CALLED, FrameNames, listed_splits, lists_beside
 from nimprep.readers.split_signs import split_note
 from nimprep.readers.tree import found_files
-from nimprep.splits import SPLITS
+from nimprep.splits import LEAST_GROUPS, SPLITS
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,19 @@ def without_labelled(splits: OfficialSplits, matched: Matched) -> OfficialSplits
         f"or is the store's{told}"
     )
     return OfficialSplits(stay, splits.skipped, (*splits.notes[: bool(splits.skipped)], note))
+
+
+def usual_rule(
+    description: Description, groups: Iterable[str]
+) -> tuple[Literal["frame", "group"] | None, tuple[str, ...]]:
+    """Return the rule that is usual for the dataset, and what is said where it cannot be kept."""
+    if description.split_by != "group" or len(set(groups)) >= LEAST_GROUPS:
+        return description.split_by, ()
+    note = (
+        f"fewer than {LEAST_GROUPS} scenes, which cannot be split as a whole: frames are split one "
+        "by one, so that those of a scene, which are alike, are in train and test"
+    )
+    return "frame", (note,)
 
 
 _WAY_OUT = '"split": false in the description or --split-by to split anew'
