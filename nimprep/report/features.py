@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.methods import ELEVATION_ROADS, GROUNDS, METHODS
+from nimprep.derive.methods import ELEVATION_ROADS, FIXED_METHODS, GROUNDS
 from nimprep.derive.recipe import Given, Made, Recipe
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality
@@ -19,7 +19,7 @@ from nimprep.modality import MODALITIES, Modality
 Values = npt.NDArray[np.float32]
 
 CHOICES: dict[str, tuple[str, ...]] = {
-    "normals": METHODS,
+    "normals": FIXED_METHODS,
     "hha_ground": GROUNDS,
     "elevation_road": ELEVATION_ROADS,
 }

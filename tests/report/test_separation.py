@@ -122,6 +122,11 @@ def test_a_choice_that_makes_no_difference_is_one_row(folder: Folder) -> None:
     assert rows["HHA: horizontal disparity"].stored
 
 
+def test_a_method_that_only_chooses_among_others_is_no_source() -> None:
+    made = {source.label for source in LOOKED if source.modality.name == "normal"}
+    assert made == {"Normals (nim)", "Normals (nim-edge)"}
+
+
 def test_pixels_are_spread_evenly_and_no_more_than_asked_for() -> None:
     every = np.arange(100_000)
     few = spread(every, 1000)
