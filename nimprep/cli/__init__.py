@@ -29,6 +29,7 @@ _COMMANDS = {
     "validate": ("nimprep.cli.info", "Check a store; exit 1 where something is wrong."),
     "split": ("nimprep.cli.split", "Show, export or change who is train, val and test."),
     "train": ("nimprep.cli.train", "Train a network on a store."),
+    "predict": ("nimprep.cli.predict", "Predict frames of a store by a trained network."),
     "evaluate": ("nimprep.cli.evaluate", "Score predicted labels against a store."),
     "export": ("nimprep.cli.export", "Write frames as PNGs, NumPy archives or a Rerun recording."),
     "report": ("nimprep.cli.report", "Show a store on one page of HTML that needs no network."),

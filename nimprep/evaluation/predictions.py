@@ -16,12 +16,17 @@ from nimprep.store.reader import Store
 SUFFIXES = (".png", ".npy")
 """What a prediction's file may be."""
 
+ABOUT, SCORES = "predictions.json", "scores"
+"""What `nimprep predict` puts beside labels: what they are of, and a folder of scores."""
+
 NAMED_AT_MOST = 10
 """Messages name this many frames and count the rest."""
 
 
 def prediction_files(folder: Path) -> dict[str, Path]:
     """Return each prediction's file by frame id; an id with "/" lies in subfolders.
+
+    Scores that `nimprep predict` wrote beside its labels are predictions of their own.
 
     Raises
     ------
@@ -31,7 +36,10 @@ def prediction_files(folder: Path) -> dict[str, Path]:
     if not folder.is_dir():
         raise LayoutError(f"{folder}: expected a folder of predictions, found none")
     files: dict[str, Path] = {}
+    beside = folder / SCORES if (folder / ABOUT).is_file() else None
     for path in sorted(folder.rglob("*")):
+        if beside in path.parents:
+            continue
         if path.suffix in SUFFIXES and path.is_file():
             frame_id = path.relative_to(folder).as_posix().removesuffix(path.suffix)
             if frame_id in files:

@@ -14,6 +14,7 @@ from nimprep.networks.checkpoint import Checkpoint, read_checkpoint, save_checkp
 from nimprep.networks.network import Loaded, Logits, Network
 from nimprep.networks.nim_network import NimNetwork
 from nimprep.networks.nim_options import PAPER_SETUPS
+from nimprep.networks.run_model import RunModel, load_run
 from nimprep.networks.weights import count_parameters, load_weights, save_weights
 
 __all__ = [
@@ -24,9 +25,11 @@ __all__ = [
     "Logits",
     "Network",
     "NimNetwork",
+    "RunModel",
     "build_network",
     "count_parameters",
     "extra_inputs",
+    "load_run",
     "load_weights",
     "read_checkpoint",
     "save_checkpoint",

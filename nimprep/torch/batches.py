@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from nimprep.torch.collation import Batch, new_tensor
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import Selection, channels_of
 from nimprep.torch.stored_images import StoredImages
+from nimprep.torch.views import VIEWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,3 +108,28 @@ class BatchMaker:
             parts = torch.split(tensor[position], [channels_of(name) for name in group])
             places += zip(group, parts, strict=True)
         return places
+
+
+def joined(group: tuple[str, ...], raw: Mapping[str, Tensor], scaling: Scaling) -> Tensor:
+    """Return one tensor of several modalities, or views of them, one below the other and scaled.
+
+    Parameters
+    ----------
+    group : tuple of str
+    raw : mapping of str to (C, H, W) tensor
+        The modalities as transforms take them.
+    scaling : Scaling
+    """
+    channels = [channels_of(name) for name in group]
+    first = VIEWS[group[0]].of if group[0] in VIEWS else group[0]
+    size = raw[first].shape[-2:]
+    out = torch.empty((sum(channels), *size), dtype=torch.float32)
+    for name, part in zip(group, torch.split(out, channels), strict=True):
+        if name in VIEWS:
+            of = VIEWS[name].of
+            values = torch.empty_like(raw[of], dtype=torch.float32)
+            scaling.cut_alone().apply(of, raw[of], values)
+            VIEWS[name].write(values, scaling.apply, part)
+        else:
+            scaling.apply(name, raw[name], part)
+    return out

@@ -18,14 +18,13 @@ from nimprep.splits import SPLIT_CODES, SplitName
 from nimprep.store.reader import Store, open_store
 from nimprep.store.storage import Storage
 from nimprep.torch.balance import Weighting, class_count, class_weights, frame_weights, label_pixels
-from nimprep.torch.batches import BatchMaker
+from nimprep.torch.batches import BatchMaker, joined
 from nimprep.torch.collation import Batch, Sample, collate
 from nimprep.torch.scaling import Normalization, Scaling, scaling_from, with_cut
-from nimprep.torch.setups import Setup, channels_of, check_dtype, select
+from nimprep.torch.setups import Setup, check_dtype, select
 from nimprep.torch.stored_images import NormalsFrom, StoredImages, merged_classes
 from nimprep.torch.transforms.composition import adapted
 from nimprep.torch.transforms.geometry import check_returned
-from nimprep.torch.views import VIEWS
 
 Transform = Callable[[dict[str, Any]], dict[str, Any]]
 """From a sample to a sample; see `StoreDataset`."""
@@ -335,7 +334,7 @@ class StoreDataset(Dataset[dict[str, Any]]):
     def _assembled(self, raw: dict[str, Any]) -> Sample:
         """Normalise what a transform returned and put it together."""
         sample = Sample()
-        tensors = [self._joined(group, raw) for group in self.selection.groups]
+        tensors = [joined(group, raw, self.scaling) for group in self.selection.groups]
         if not self.selection.inputs:
             sample.update(zip(self.selection.images, tensors, strict=True))
         else:
@@ -346,22 +345,6 @@ class StoreDataset(Dataset[dict[str, Any]]):
         sample["intrinsics"] = torch.as_tensor(raw["intrinsics"]).to(torch.float32)
         sample["size"] = torch.as_tensor(raw["size"], dtype=torch.int64)
         return sample
-
-    def _joined(self, group: tuple[str, ...], raw: dict[str, Any]) -> Tensor:
-        """Normalise the modalities of one tensor into it, one below the other."""
-        channels = [channels_of(name) for name in group]
-        out = torch.empty(
-            (sum(channels), *raw[self.selection.modalities[0]].shape[-2:]), dtype=torch.float32
-        )
-        for name, part in zip(group, torch.split(out, channels), strict=True):
-            if name in VIEWS:
-                of = VIEWS[name].of
-                values = torch.empty_like(raw[of], dtype=torch.float32)
-                self.scaling.cut_alone().apply(of, raw[of], values)
-                VIEWS[name].write(values, self.scaling.apply, part)
-            else:
-                self.scaling.apply(name, raw[name], part)
-        return out
 
 
 def _only(value: Any) -> Any:

@@ -137,7 +137,8 @@ class Feed:
         found = vars(recipe_from(self.store.about.modalities))
         if self.normals == "cached":
             return found
-        return {**found, "normals": self.normals, "sign_filter": False, "noise": None}
+        method = {"normals": self.normals, "sign_filter": False, "noise": None}
+        return {**found, **method, "lone_normals": False}
 
     @property
     def normal_dtype(self) -> str | None:
