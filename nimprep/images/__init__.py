@@ -15,7 +15,7 @@ whole process, so that holding it back around a decode would swallow other threa
 from nimprep.images.archive import archive_shapes
 from nimprep.images.array import read_array, read_array_header
 from nimprep.images.decode import read_bytes, read_depth, read_label, read_rgb
-from nimprep.images.hdf5 import hdf5_shapes
+from nimprep.images.hdf5 import hdf5_cell_count, hdf5_shapes, read_hdf5_cell
 from nimprep.images.header import ImageHeader
 from nimprep.images.layout import Layout, Raw
 from nimprep.images.orientation import OrientationRule, read_orientation
@@ -27,11 +27,13 @@ __all__ = [
     "OrientationRule",
     "Raw",
     "archive_shapes",
+    "hdf5_cell_count",
     "hdf5_shapes",
     "read_array",
     "read_array_header",
     "read_bytes",
     "read_depth",
+    "read_hdf5_cell",
     "read_header",
     "read_label",
     "read_orientation",

@@ -9,7 +9,7 @@ the HDF5 library below it is not made for files that somebody wrote to deceive.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,98 @@ def read_hdf5_part(
         where = tuple(index if i == axis else slice(None) for i in range(len(header.shape)))
         found = np.asarray(array[where])
     return np.ascontiguousarray(found.astype(found.dtype.newbyteorder("="), copy=False))
+
+
+def read_hdf5_cell(path: Path, key: str, number: int) -> npt.NDArray[Any]:
+    """Return the array in a place of a MATLAB cell array, or of a field of a struct array.
+
+    Parameters
+    ----------
+    key : str
+        Of the references, by columns as MATLAB counts them.
+    number : int
+        The place, from 0.
+
+    Raises
+    ------
+    DecodeError
+        As for `read_hdf5_part`; or there is no such place.
+    """
+    with _opened(path) as file:
+        cells = _at(file, [part for part in key.split("/") if part])
+        if not _is_cells(cells) or not 0 <= number < cells.size:
+            found = f"{cells.size} of them" if _is_cells(cells) else "no references"
+            raise DecodeError(
+                f"{path}: expected a cell {number} of {key!r}, found {found}; give the file as it "
+                "was published"
+            )
+        array = file[cells[()].ravel()[number]]
+        header = _header(array, path)
+        checked_count(header, None, path)
+        return np.ascontiguousarray(np.asarray(array[()]))
+
+
+def hdf5_cell_count(path: Path, key: str) -> int:
+    """Return how many cells there are under a key; 0 = it is no cell array.
+
+    Raises
+    ------
+    DecodeError
+        The file cannot be read.
+    """
+    with _opened(path) as file:
+        cells = _at(file, [part for part in key.split("/") if part])
+        return int(cells.size) if _is_cells(cells) else 0
+
+
+def read_hdf5_values(path: Path, key: str, fields: Collection[str] | None = None) -> Any:
+    """Return a variable of MATLAB 7.3, its cells with it: see `nimprep.readers.matlab`.
+
+    Raises
+    ------
+    DecodeError
+        The file cannot be read, or has none under this key.
+    """
+    with _opened(path) as file:
+        item = _at(file, [part for part in key.split("/") if part])
+        if item is None:
+            raise DecodeError(missing_key(path, key, _arrays(file)))
+        return _values(file, item, path, fields, 0)
+
+
+def _is_cells(item: Any) -> bool:
+    import h5py
+
+    return isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is h5py.Reference
+
+
+def _values(file: Any, item: Any, path: Path, fields: Collection[str] | None, depth: int) -> Any:
+    import h5py
+
+    if depth > _DEEPEST:
+        return None
+    if isinstance(item, h5py.Group):
+        # A struct array has a list of cells under each field; a single struct its values.
+        names = [n for n in _names(item) if fields is None or n in fields]
+        columns = {n: _values(file, _at(item, [n]), path, fields, depth + 1) for n in names}
+        if columns and all(isinstance(column, list) for column in columns.values()):
+            rows = zip(*columns.values(), strict=False)
+            return [dict(zip(columns, row, strict=True)) for row in rows]
+        return [columns]
+    if not isinstance(item, h5py.Dataset):
+        return None
+    if _is_cells(item):
+        cells = item[()].ravel().tolist()
+        return [
+            _values(file, file[each], path, fields, depth + 1) if each else None for each in cells
+        ]
+    if item.dtype.kind not in "biuf":
+        return None
+    checked_count(_header(item, path), None, path)
+    array = np.asarray(item[()]).T
+    if item.attrs.get("MATLAB_class") == b"char":
+        return "".join(map(chr, array.ravel(order="F").tolist()))
+    return array
 
 
 def hdf5_shapes(path: Path, most: int) -> dict[str, tuple[int, ...]]:

@@ -119,6 +119,10 @@ def inspect_source(source: Path | str) -> Inspection:
 
 def _look_at_file(made: Inspection) -> None:
     source = made.source
+    fitting = fitting_reader(source, made.notes)
+    if fitting:
+        _of_reader(made, *fitting)
+        return
     try:
         holding = holding_at(source)
     except DecodeError as error:
@@ -176,11 +180,7 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
     if near is not None:
         made.notes.append(f"did you mean {near}?")
     if fitting:
-        made.reader, frames = fitting
-        made.kind, made.what = "reader", f"a dataset of {frames} frames in the layout {fitting[0]}"
-        made.description = description_of(fitting[0], made.source)
-        camera = " --intrinsics fx,fy,cx,cy" if needs_camera(made.description) else ""
-        made.next_steps = [f"nimprep convert {made.source} OUT.zarr{camera}"]
+        _of_reader(made, *fitting)
     elif found.planes:
         made.kind, made.what = "images", _summary(found)
         _describe(made, found)
@@ -195,6 +195,14 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
         made.kind, made.what = "images", "no images itself"
     if near is not None:
         made.next_steps.insert(0, f"nimprep inspect {near}")
+
+
+def _of_reader(made: Inspection, reader: ReaderName, frames: int) -> None:
+    made.reader, made.kind = reader, "reader"
+    made.what = f"a dataset of {frames} frames in the layout {reader}"
+    made.description = description_of(reader, made.source)
+    camera = " --intrinsics fx,fy,cx,cy" if needs_camera(made.description) else ""
+    made.next_steps = [f"nimprep convert {made.source} OUT.zarr{camera}"]
 
 
 def _describe(made: Inspection, found: Examination) -> None:

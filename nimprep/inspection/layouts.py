@@ -9,7 +9,7 @@ from typing import Any
 from nimprep.errors import LayoutError, NimprepError
 from nimprep.readers import READERS, ReaderName, ReaderOptions, open_reader
 from nimprep.readers.named import description_in
-from nimprep.readers.recognition import known_by_files, place_of
+from nimprep.readers.recognition import known_by_files, known_file, place_of, refusal
 from nimprep.readers.signs import Listings
 
 
@@ -44,10 +44,13 @@ ANY_CAMERA = (1.0, 1.0, 0.0, 0.0)
 
 def description_of(name: ReaderName, root: Path) -> dict[str, Any] | None:
     """Return the description of a dataset known by name, as it is in a folder; None = has none."""
-    layout = READERS[name]
-    if layout.dataset is None:
+    layout, listings = READERS[name], Listings()
+    root = root.parent if root.is_file() else root
+    place = place_of(layout, root, listings) or root
+    # What code reads, a description does not say all of.
+    if layout.dataset is None or "code" in layout.dataset.found(place, listings).document:
         return None
-    return description_in(layout.dataset, root, place_of(layout, root, Listings()) or root)
+    return description_in(layout.dataset, root, place)
 
 
 def needs_camera(description: Mapping[str, Any] | None) -> bool:
@@ -61,11 +64,14 @@ def fitting_reader(root: Path, notes: list[str]) -> tuple[ReaderName, int] | Non
     A reader's folders alone do not tell: TUM's rgb/ is GMRP's too. What keeps a dataset that is
     known by its files from being opened is added to the notes.
     """
+    listings = Listings()
     try:
-        known = known_by_files(root, Listings())
+        known = known_file(root) or known_by_files(root, listings)
     except LayoutError as error:
         notes.append(str(error))
         return None
+    if known is None and (told := refusal(root, listings)) is not None:
+        notes.append(told)
     for name, layout in READERS.items():
         if known is not None and name != known.reader:
             continue
@@ -78,6 +84,7 @@ def fitting_reader(root: Path, notes: list[str]) -> tuple[ReaderName, int] | Non
                 reader = open_reader(root, options, labels=labels)
                 if reader.ids:
                     reader.shape(reader.ids[0])
+                    notes += reader.info.notes if layout.dataset else ()
                     return name, len(reader.ids)
             except NimprepError as error:
                 if known is not None and labels:

@@ -19,7 +19,7 @@ from nimprep.readers.cameras import camera_from, numbers_of
 from nimprep.readers.datasets import FLAGS, defaults_of, having, label_sets
 from nimprep.readers.description import MOST_SCALE_M, DistortionRule, Size, metres_per_unit
 from nimprep.readers.layouts import READERS, Layout, ReaderName
-from nimprep.readers.recognition import place_of, recognised
+from nimprep.readers.recognition import known_file, place_of, recognised
 from nimprep.readers.resizing import size_from
 from nimprep.readers.signs import Listings
 
@@ -173,6 +173,8 @@ def open_reader(
     name, place = options.reader, root
     if name == "auto":
         name, place = ("folder", root) if options.description else recognised(root)
+    elif (known := known_file(root)) is not None and known.reader == name:
+        place = known.root
     elif READERS[name].signs:
         place = place_of(READERS[name], root, Listings()) or root
     layout = READERS[name]

@@ -225,7 +225,8 @@ class CameraSource:
 class SplitSource:
     """Say whose split the dataset's authors chose: by a template and names, or by list files.
 
-    The lists' patterns are below `folder`; None = the dataset's.
+    The lists' patterns are below `folder`; None = the dataset's. What neither can say, code does:
+    `frames` by id, the others being in no split.
     """
 
     of: str | None = None
@@ -233,6 +234,7 @@ class SplitSource:
     lists: Mapping[SplitName, str] = field(default_factory=dict)
     rest: SplitName | Literal["error", "skip"] = "error"
     folder: Path | None = None
+    frames: Mapping[str, SplitName] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +267,8 @@ class Description:
         None = the nominal RealSense D415.
     group : str, optional
         Template of placeholders, or pattern over ids with ``{group}``.
+    groups : mapping of frame id to group, optional
+        In place of it, where code knows them.
     split : SplitSource, optional
         None = as folders and lists named train, val and test say; `no_split` = free.
     match : Match, optional
@@ -292,6 +296,7 @@ class Description:
     classes: tuple[LabelClass, ...] = ()
     camera: CameraSource | None = None
     group: str | None = None
+    groups: Mapping[str, str] | None = None
     split: SplitSource | None = None
     no_split: bool = False
     match: Match | None = None

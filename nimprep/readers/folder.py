@@ -203,6 +203,8 @@ class FolderReader(ReaderBase):
 
     def group(self, frame_id: str) -> str:
         """Return the scene by the description's template or pattern; "" = none."""
+        if self._description.groups is not None:
+            return self._description.groups.get(frame_id, "")
         pattern = self._description.group
         if pattern is None or "{group}" in pattern:
             return group_of(frame_id, pattern)

@@ -18,7 +18,7 @@ from nimprep.readers.description import Description, DistortionRule, Size
 from nimprep.readers.description_file import description_from_document
 from nimprep.readers.folder import FolderReader
 from nimprep.readers.layouts import READERS
-from nimprep.readers.recognition import place_of
+from nimprep.readers.recognition import place_of, refusal
 from nimprep.readers.signs import Listings, probed
 from nimprep.readers.tree import check_root
 
@@ -67,6 +67,8 @@ def open_named(
     root = Path(root)
     check_root(root)
     listings = Listings()
+    if (told := refusal(root, listings, dataset.name)) is not None:
+        raise LayoutError(told)
     found = dataset.found(root, listings)
     chosen = {"variations": variations, "camera_index": camera_index}
     document = described(found, label_set, chosen, lists=lists is not None)

@@ -58,6 +58,9 @@ def official_splits(
         return OfficialSplits()
     if source is not None and source.of is not None:
         return _by_template(root, source, matched)
+    if source is not None and source.frames is not None:
+        none: OfficialSplit = "none"
+        return OfficialSplits({i: source.frames.get(i, none) for i in matched.ids})
     try:
         if source is not None:
             return _by_lists(root, source, matched)

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from nimprep.errors import LayoutError
+from nimprep.errors import DecodeError, LayoutError
+from nimprep.images import read_header
 from nimprep.readers.layouts import READERS, Layout, ReaderName
 from nimprep.readers.nearby import dataset_above, nearby_dataset
 from nimprep.readers.signs import Listings, probed
@@ -31,6 +32,9 @@ def recognised(root: Path) -> Recognised:
     LayoutError
         The folder is missing, or has no known layout, or several.
     """
+    one = known_file(root)
+    if one is not None:
+        return one
     check_root(root)
     listings = Listings()
     found = known_by_files(root, listings)
@@ -40,12 +44,50 @@ def recognised(root: Path) -> Recognised:
     # rgb/ alone may be that of a scene, in a dataset of many.
     if marked and dataset_above(root, lambda folder: _is_one(folder, listings)) is None:
         return Recognised(marked[0], root)
+    if (told := refusal(root, listings)) is not None:
+        raise LayoutError(told)
     entries = sorted(p.name for p in root.iterdir())[:5]
     there = ", ".join(entries) if entries else "an empty folder"
     known = ", ".join(READERS)
     raise LayoutError(
         f"{root}: expected a known layout ({known}), found {there}; {_step(root, listings)}"
     )
+
+
+def known_file(path: Path) -> Recognised | None:
+    """Return the reader of a dataset that is one file, given itself; None = it is no such."""
+    if not path.is_file():
+        return None
+    for name, layout in READERS.items():
+        if layout.dataset is not None and layout.dataset.file == path.name:
+            return Recognised(name, path.parent)
+    return None
+
+
+def refusal(root: Path, listings: Listings, reader: ReaderName | None = None) -> str | None:
+    """Return what is said of a folder that looks like a dataset and cannot be read; None = nothing.
+
+    Parameters
+    ----------
+    reader : str, optional
+        Of this dataset's forms alone.
+    """
+    for name, layout in READERS.items():
+        if layout.dataset is None or reader not in (None, name):
+            continue
+        for said in layout.dataset.refused:
+            if not all(listings.has(root, sign) for sign in said["there"]):
+                continue
+            if _has_8_bits(listings.find(root, said["eight_bits"])):
+                return f"{root}: expected a known layout, found {said['found']}; {said['step']}"
+    return None
+
+
+def _has_8_bits(file: str | None) -> bool:
+    try:
+        return file is not None and read_header(Path(file)).bits == 8
+    except DecodeError:
+        return False
 
 
 def known_by_files(root: Path, listings: Listings) -> Recognised | None:

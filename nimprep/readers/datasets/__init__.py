@@ -54,6 +54,17 @@ class Dataset:
         return tuple(self.document.get("roots", ("",)))
 
     @property
+    def file(self) -> str | None:
+        """What the one file is called that may be given in place of its folder."""
+        return self.document.get("file")
+
+    @property
+    def refused(self) -> Sequence[Mapping[str, Any]]:
+        """Folders that look like it and cannot be read."""
+        refused: Sequence[Mapping[str, Any]] = self.document.get("refused", ())
+        return refused
+
+    @property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         """What each option of its own means."""
         options: Mapping[str, Mapping[str, Any]] = self.document.get("options", {})
