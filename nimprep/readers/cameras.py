@@ -33,7 +33,9 @@ class GivenCamera:
     where : str
         The file, or what to call it in a message.
     intrinsics : (fx, fy, cx, cy), pixels, optional
-        None = the nominal RealSense D415 colour camera at the image's size.
+        None = square pixels, the centre in the middle, and a view `fov_deg` wide.
+    fov_deg : float, degrees
+        The nominal RealSense D415 colour camera's, unless it is said.
     size : (height, width), optional
         The image size the intrinsics hold for; None = not said.
     baseline_m : float
@@ -42,6 +44,9 @@ class GivenCamera:
         Of the images as they are; None = none.
     scales : bool
         Whether images of another size of the same shape have the intrinsics scaled.
+    usual : bool
+        Whether the size is no more than usual: images of another shape have the intrinsics as they
+        are.
     cam_to_road : 12 numbers, optional
         Transform from the camera frame to the road frame, (3, 4) row by row, metres.
     """
@@ -53,6 +58,8 @@ class GivenCamera:
     baseline_m: float = math.nan
     distortion: Distortion | None = None
     scales: bool = False
+    usual: bool = False
+    fov_deg: float = D415_HORIZONTAL_FOV_DEG
     cam_to_road: tuple[float, ...] | None = None
 
     def camera(self, height: int, width: int, frame_id: str) -> Camera:
@@ -64,10 +71,12 @@ class GivenCamera:
             The intrinsics belong to another size.
         """
         if self.intrinsics is None:
-            return Camera.from_fov(D415_HORIZONTAL_FOV_DEG, width, height)
+            return Camera.from_fov(self.fov_deg, width, height)
         if self.size is None or self.size == (height, width):
             return Camera(*self.intrinsics, width=width, height=height)
         alike = same_shape(self.size, (height, width))
+        if self.usual and not alike:
+            return Camera(*self.intrinsics, width=width, height=height)
         if not (self.scales and alike):
             step = "check the width and height, and the order of the two"
             if alike:
@@ -103,7 +112,7 @@ def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
 
 def nominal_camera() -> GivenCamera:
     """Return the RealSense D415's data-sheet camera: 69.4 degrees wide, square pixels."""
-    return GivenCamera("nominal", "nominal RealSense D415")
+    return GivenCamera("nominal", "the nominal RealSense D415 colour camera (69.4 degrees wide)")
 
 
 def numbers_of(given: Any) -> tuple[float, ...]:

@@ -207,6 +207,12 @@ class CameraSource:
     distortion : {"undistort", "refuse", "rectified"}
     unknown : bool
         The dataset has none: it must be given.
+    fov_deg : float, optional
+        How wide the images' view is, in place of numbers: square pixels, the centre in the middle.
+    nominal : str, optional
+        Whose numbers they are where nobody calibrated the camera.
+    folders : tuple of (pattern, CameraSource)
+        Cameras by a folder of the colour image, the dataset's own among them; the first that fits.
     """
 
     numbers: dict[str, Any] | None = None
@@ -219,6 +225,9 @@ class CameraSource:
     baseline_m: float | None = None
     distortion: DistortionRule = "undistort"
     unknown: bool = False
+    fov_deg: float | None = None
+    nominal: str | None = None
+    folders: tuple[tuple[str, CameraSource], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -239,13 +239,19 @@ def _camera(given: Any, where: str) -> CameraSource:
         return CameraSource(files=given)
     if given is False:
         return CameraSource(unknown=True)
+    if "folders" in given:
+        each = given["folders"].items()
+        return CameraSource(folders=tuple((name, _camera(camera, where)) for name, camera in each))
+    if "fov_deg" in given:
+        return CameraSource(**given)
     if "files" not in given:
         _refuse_misspelt(given, where)
-        rule = given.get("distortion")
-        if not isinstance(rule, str):
-            return CameraSource(numbers=given)
-        numbers = {name: value for name, value in given.items() if name != "distortion"}
-        return CameraSource(numbers=numbers, distortion=rule)  # type: ignore[arg-type]
+        said = {name: given[name] for name in ("distortion", "nominal") if name in given}
+        if not isinstance(said.get("distortion"), str):
+            # Coefficients are among the numbers.
+            said.pop("distortion", None)
+        numbers = {name: value for name, value in given.items() if name not in said}
+        return CameraSource(numbers=numbers, **said)
     return CameraSource(**{name: _frozen(value) for name, value in given.items()})
 
 

@@ -54,11 +54,6 @@ from nimprep.readers.registration import (
 from nimprep.readers.tree import check_root
 from nimprep.readers.undistortion import without_border
 
-_NOMINAL_NOTE = (
-    "no calibration: assuming the nominal RealSense D415 colour camera (69.4 degrees wide); "
-    "give --camera FILE.json or --intrinsics fx,fy,cx,cy if you know better"
-)
-
 
 class FolderReader(ReaderBase):
     """Read a dataset that a `Description` describes.
@@ -134,7 +129,6 @@ class FolderReader(ReaderBase):
         lacking = {**self._colors.lacking, **of_depth, **self._cameras.lacking}
         lacking |= self._matched.lacking
         self._matched = replace(self._matched, lacking=lacking)
-        nominal = (_NOMINAL_NOTE,) if self._cameras.origin == "nominal" else ()
         rule, rule_notes = usual_rule(description, map(self.group, self.ids))
         self.info = DatasetInfo(
             name=description.name,
@@ -148,7 +142,7 @@ class FolderReader(ReaderBase):
             reference=description.reference,
             notes=(
                 *description.notes,
-                *nominal,
+                *self._cameras.notes(),
                 *self._distortion_notes(),
                 *self._matched.notes,
                 *self._splits.notes,

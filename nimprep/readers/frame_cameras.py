@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +12,11 @@ from nimprep.readers.base import CalibrationOrigin
 from nimprep.readers.camera_formats import CameraNumbers, CameraTable, numbers_from_file
 from nimprep.readers.cameras import (
     GivenCamera,
-    camera_from_document,
     camera_from_numbers,
     nominal_camera,
 )
 from nimprep.readers.description import CameraSource, DistortionRule
+from nimprep.readers.folder_cameras import cameras_by_folder, described_camera
 from nimprep.readers.matching import Matched, files_for
 
 _KEPT = 64
@@ -66,10 +66,15 @@ class FrameCameras:
         self._shared: tuple[Path, ...] = ()
         self._read: dict[Path, CameraNumbers | CameraTable] = {}
         self._lock = threading.Lock()
-        self._camera = given or self._described(root, source, matched)
+        self._by_folder: Mapping[str, GivenCamera] = {}
+        self._camera = given or self._described(root, source, matched, distortion)
 
     def _described(
-        self, root: Path, source: CameraSource | None, matched: Matched
+        self,
+        root: Path,
+        source: CameraSource | None,
+        matched: Matched,
+        distortion: DistortionRule | None,
     ) -> GivenCamera | None:
         if source is None:
             return nominal_camera()
@@ -78,8 +83,11 @@ class FrameCameras:
                 f"{root}: expected --camera FILE or --intrinsics fx,fy,cx,cy, as this dataset "
                 "does not say its camera, found neither; give one of the two"
             )
+        if source.folders:
+            self._by_folder, self.lacking = cameras_by_folder(root, source, matched, distortion)
+            return None
         if source.files is None:
-            return camera_from_document(source.numbers, f"{root}: 'camera'", source)
+            return described_camera(source, f"{root}: 'camera'")
         if not any(mark in source.files for mark in "{*?"):
             if ".." in source.files.split("/"):
                 raise LayoutError(
@@ -109,7 +117,21 @@ class FrameCameras:
     @property
     def origin(self) -> CalibrationOrigin:
         """Where cameras come from: file, nominal or user."""
-        return self._camera.origin if self._camera else "file"
+        if self._camera is not None:
+            return self._camera.origin
+        nominal = any(each.origin == "nominal" for each in self._by_folder.values())
+        return "nominal" if nominal else "file"
+
+    def notes(self) -> Iterator[str]:
+        """Yield what is said of cameras that nobody calibrated."""
+        nominal = [i for i, each in self._by_folder.items() if each.origin == "nominal"]
+        if self.origin == "nominal":
+            camera = self._camera or self._by_folder[nominal[0]]
+            of = f" of {len(nominal)} frames, first {nominal[0]!r}" if nominal else ""
+            yield (
+                f"no calibration{of}: assuming {camera.where}; give --camera FILE.json or "
+                "--intrinsics fx,fy,cx,cy if you know better"
+            )
 
     def of(self, frame_id: str) -> GivenCamera:
         """Return the camera of a frame.
@@ -121,6 +143,8 @@ class FrameCameras:
         """
         if self._camera is not None:
             return self._camera
+        if self._by_folder:
+            return self._by_folder[frame_id]
         path = self._files[frame_id]
         found = self._contents(path)
         if isinstance(found, CameraTable):
@@ -145,7 +169,7 @@ class FrameCameras:
     def distorted(self) -> GivenCamera | None:
         """Return the first frame's camera, if its images are distorted, None if not."""
         try:
-            first = self._camera or self.of(next(iter(self._files)))
+            first = self._camera or self.of(next(iter(self._files or self._by_folder)))
         except (CameraError, StopIteration):
             return None
         return first if first.distortion is not None else None

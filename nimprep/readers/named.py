@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
@@ -170,7 +171,8 @@ def description_in(dataset: Dataset, root: Path, place: Path) -> dict[str, Any]:
         In which the dataset lies: it, or one within it.
     """
     listings = Listings()
-    document = described(dataset.found(place, listings))
+    # A copy: it is to be edited, and the dataset's own is not.
+    document = deepcopy(described(dataset.found(place, listings)))
     split = document.get("split")
     if "lists" in dataset.options and isinstance(split, dict) and "lists" in split:
         there = {n: f for n, f in split["lists"].items() if listings.find(place, f) is not None}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -62,11 +62,11 @@ def paired(
     if match.pairs is not None:
         _by_pairs(root, match, colors, others, made)
     optional = {name for name, source in description.sources() if source.missing == "none"}
-    timed = _times(root, match, "rgb", colors.values())
+    timed = _times(root, match, "rgb", colors.values(), made.notes)
     for name, images in others.items():
         if name in made.places or not _is_timed(match, name, images):
             continue
-        joined = _by_time(match, colors, timed, _times(root, match, name, images))
+        joined = _by_time(match, colors, timed, _times(root, match, name, images, made.notes))
         made.places[name] = joined
         lost = colors.keys() - joined.keys()
         if lost and name not in optional:
@@ -100,10 +100,19 @@ Timed = tuple[tuple[tuple[str, str], ...], Fraction, Place]
 """What else must be the same, when, and which image."""
 
 
-def _times(root: Path, match: Match, name: str, images: Iterable[Found]) -> list[Timed]:
+def _times(
+    root: Path, match: Match, name: str, images: Collection[Found], notes: list[str]
+) -> list[Timed]:
     """Return when each image of a kind was taken, by its list or its name."""
     by = (match.by or "")[1:-1]
-    listed = _listed_times(root, match.lists[name]) if name in match.lists else None
+    listed = None
+    if name in match.lists:
+        there = {image.place.path.relative_to(root).as_posix() for image in images}
+        listed, lost = _listed_times(root, match.lists[name], there)
+        if lost:
+            notes.append(
+                f"{len(lost)} images that lists of {name} name are not there, first {lost[0]}"
+            )
     found: list[Timed] = []
     for image in images:
         path = image.place.path.relative_to(root).as_posix()
@@ -125,11 +134,21 @@ def _times(root: Path, match: Match, name: str, images: Iterable[Found]) -> list
 
 
 def _listed_times(
-    root: Path, pattern: str
-) -> dict[str, tuple[tuple[tuple[str, str], ...], Fraction]]:
-    """Return the time of each file in TUM's lists, and what their own placeholders stand for."""
+    root: Path, pattern: str, there: set[str]
+) -> tuple[dict[str, tuple[tuple[tuple[str, str], ...], Fraction]], list[str]]:
+    """Return the time of each file in TUM's lists, and what their own placeholders stand for.
+
+    Then the paths in them of which there is no image.
+    """
+    lost: list[str] = []
     times: dict[str, tuple[tuple[tuple[str, str], ...], Fraction]] = {}
-    for path, values in found_files(root, pattern):
+    lists = [(path, values) for path, values in found_files(root, pattern) if path.is_file()]
+    if not lists:
+        raise LayoutError(
+            f"{root}: expected a list of times like {pattern!r}, found none; put it there, or "
+            "mend the pattern"
+        )
+    for path, values in lists:
         for row in rows_of(_text(path)):
             time = time_from(row[0])
             if time is None or len(row) < 2:
@@ -137,11 +156,13 @@ def _listed_times(
                     f"{path}: expected lines of a time and a path, found {' '.join(row)[:80]!r}; "
                     "mend it"
                 )
-            for base in (path.parent, root):
-                if (base / row[1]).is_relative_to(root):
-                    name = (base / row[1]).relative_to(root).as_posix()
-                    times.setdefault(name, (tuple(sorted(values.items())), time))
-    return times
+            places = [base / row[1] for base in (path.parent, root)]
+            names = [p.relative_to(root).as_posix() for p in places if p.is_relative_to(root)]
+            for name in names:
+                times.setdefault(name, (tuple(sorted(values.items())), time))
+            if there.isdisjoint(names):
+                lost.append(row[1])
+    return times, lost
 
 
 def _by_time(
