@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nimprep.arrays import floats
-from nimprep.errors import CameraError
+from nimprep.errors import ArrayError, CameraError
 
 RANGES: dict[str, tuple[float, float]] = {
     "fx": (1e-3, 1e6),
@@ -136,6 +136,31 @@ class Camera:
     def flip(self) -> Camera:
         """Return the camera of the image mirrored left to right."""
         return replace(self, cx=self.width - 1 - self.cx)
+
+
+def unit_gravity(given: Any) -> npt.NDArray[np.float64]:
+    """Return a direction of gravity, of any length, as a unit vector.
+
+    Parameters
+    ----------
+    given : (3,) array_like
+        In the camera frame (x right, y down, z forward), pointing down: (0, 1, 0) where the camera
+        is level. An accelerometer at rest measures the opposite.
+
+    Raises
+    ------
+    ArrayError
+        It is none: not three finite numbers, or all of them 0.
+    """
+    vector = floats(given)
+    if vector.shape != (3,):
+        raise ArrayError(f"gravity: expected 3 numbers, found shape {vector.shape}")
+    largest = float(np.abs(vector).max())
+    if not 0 < largest < np.inf:
+        raise ArrayError(f"gravity: expected a direction, found {vector.tolist()}")
+    # Of the largest and the smallest numbers there are, the squares are infinite or 0.
+    vector = vector if 1e-100 < largest < 1e100 else vector / largest
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _number(value: Any) -> float:

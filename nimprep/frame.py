@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from nimprep import modality
 from nimprep.arrays import without_mask
-from nimprep.camera import Camera
+from nimprep.camera import Camera, unit_gravity
 from nimprep.errors import ArrayError
 from nimprep.modality import modality_name as modality_name
 
@@ -80,6 +80,9 @@ class Frame:
         Stereo baseline, metres; NaN = none.
     cam_to_road : (3, 4) float64, optional
         Transform from the camera frame to the road frame, metres.
+    gravity : (3,) float64, optional
+        Direction of gravity in the camera frame, pointing down, as it was given: made a unit vector
+        here. None = it was not, and is estimated where it is needed.
     others : mapping of str to array
         The images of further modalities, by name; of planes (`nimprep.plane`) the numbers, (H, W),
         in their units: float32, NaN = none, or uint8 that is as it is stored.
@@ -91,8 +94,8 @@ class Frame:
     Raises
     ------
     ArrayError
-        The depth is no floating (H, W) array of the camera's size, or negative somewhere; or the
-        colours are masked.
+        The depth is no floating (H, W) array of the camera's size, or negative somewhere; the
+        colours are masked; or gravity is no direction.
     """
 
     id: str
@@ -108,6 +111,7 @@ class Frame:
     group: str = ""
     baseline_m: float = float("nan")
     cam_to_road: npt.NDArray[np.float64] | None = None
+    gravity: npt.NDArray[np.float64] | None = None
     others: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
     signs: Mapping[str, float] = field(default_factory=dict)
     absent: frozenset[str] = frozenset()
@@ -123,6 +127,8 @@ class Frame:
                     place, plain = "others", {**self.others, name: plain}
                 object.__setattr__(self, place, plain)
             self._take_masks_off_planes()
+            if self.gravity is not None:
+                object.__setattr__(self, "gravity", unit_gravity(self.gravity))
             if self.depth_m is not None:
                 # Here, as its kernels take their time to load.
                 from nimprep.depth import checked_depth

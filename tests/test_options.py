@@ -35,6 +35,7 @@ MADE: dict[str, Any] = {"convert": nimprep.ConvertOptions, "append": nimprep.App
 OTHER: dict[str, Any] = {
     "description": "d.json",
     "camera": (30.0, 30.0, 16.0, 12.0),
+    "gravity": (0.0, 1.0, 0.0),
     "distortion": "refuse",
     "size": "depth",
     "depth_scale": 0.002,
@@ -49,11 +50,11 @@ OTHER: dict[str, Any] = {
 }
 """A value for each option of readers that is not its default."""
 
-OF_FOLDERS = {"camera", "distortion", "size", "depth_scale", "label_map"}
+OF_FOLDERS = {"camera", "gravity", "distortion", "size", "depth_scale", "label_map"}
 
 TAKES = {
     "gmrp": OF_FOLDERS,
-    "kitti-road": {"target", "depth_from", "sparse"},
+    "kitti-road": {"gravity", "target", "depth_from", "sparse"},
     "folder": OF_FOLDERS | {"description"},
     **{name: OF_FOLDERS | {*dataset.options} for name, dataset in DATASETS.items()},
 }
@@ -173,7 +174,7 @@ def test_an_option_that_the_reader_has_not_is_a_wrong_call(
     found = str(OTHER[name])
     assert result.stderr == (
         f"error: {flag}: expected options of the reader gmrp (--camera or --intrinsics, "
-        f"--distortion, --size, --depth-scale, --label-map), found {found!r}; "
+        f"--gravity, --distortion, --size, --depth-scale, --label-map), found {found!r}; "
         f"leave out {flag}\n"
     )
     assert store.exists() == (command == "append")

@@ -76,11 +76,21 @@ def _parts(ctx: click.Context, param: click.Parameter, value: str | None) -> Any
     return tuple(value.split(",")) if value is not None and "," in value else value
 
 
+def _gravity(
+    ctx: click.Context, param: click.Parameter, value: str | None
+) -> tuple[float, float, float] | None:
+    if value is None:
+        return None
+    x, y, z = parse_numbers(value, "x,y,z", float)
+    return x, y, z
+
+
 _PARSED: dict[str, Callable[..., Any]] = {
     "auto|T,B,L,R": _crop,
     "H,W|none": _window,
     "LOW,HIGH": _range,
     "SETUP": _parts,
+    "X,Y,Z": _gravity,
     "modalities": lambda ctx, param, value: None if value is None else value.split(","),
 }
 """What is read in a way of its own, by how it is written, or by its name."""

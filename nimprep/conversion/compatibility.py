@@ -9,7 +9,7 @@ from typing import Any
 from nimprep.conversion.options import ConvertOptions
 from nimprep.conversion.plan import describe_modalities
 from nimprep.depth_unit import MILLIMETRE, ChosenUnit, counts_in, unit_words
-from nimprep.derive.recipe import RecipeOptions, recipe_from
+from nimprep.derive.recipe import DERIVED, Recipe, RecipeOptions, recipe_from
 from nimprep.errors import DecodeError, LayoutError, StoreError
 from nimprep.frame import LabelClass
 from nimprep.modality import MODALITIES
@@ -54,7 +54,7 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
     options = ConvertOptions(**reading, **making)
     held = (array.modality for array in store.arrays.values())
     described = describe_modalities(held, recipe)
-    found = {name: about.modalities[name] for name in store.modalities}
+    found = {name: as_said_now(about.modalities[name]) for name in store.modalities}
     for name in store.modalities:
         if described[name] != found[name]:
             raise StoreError(
@@ -62,6 +62,26 @@ def options_like(store: Store, **reading: Any) -> ConvertOptions:
                 f"found {found[name]}; convert everything anew"
             )
     return options
+
+
+_SAID_BEFORE = {
+    "gravity": "from cam_to_road where a frame has it, else estimated",
+    "plane": "the road frame's y = 0 where a frame has cam_to_road, else fitted to the depth",
+}
+"""Of parameters, what was said before gravity could be given: true of frames that have none."""
+
+
+def as_said_now(made: Any) -> Any:
+    """Return what a store's attributes say of a modality in today's words, as it was made alike."""
+    if made is None:
+        return None
+    every = (Recipe().describe(name)["parameters"] for name in DERIVED)
+    now = {name: said for one in every for name, said in one.items() if name in _SAID_BEFORE}
+    parameters = {
+        name: now[name] if said == _SAID_BEFORE.get(name) else said
+        for name, said in made["parameters"].items()
+    }
+    return {**made, "parameters": parameters}
 
 
 def normal_dtype(store: Store) -> str:
@@ -192,7 +212,10 @@ def check_alike(stores: Sequence[Store]) -> None:
             ("classes", named(first.classes), named(store.classes)),
             ("colours", [c.color for c in first.classes], [c.color for c in store.classes]),
             ("crop", Margins(**a.crop), Margins(**b.crop)),
-            *((m, a.modalities.get(m), b.modalities.get(m)) for m in sorted(modalities)),
+            *(
+                (m, as_said_now(a.modalities.get(m)), as_said_now(b.modalities.get(m)))
+                for m in sorted(modalities)
+            ),
         ]
         for what, wanted, there in found:
             if wanted != there:

@@ -16,6 +16,7 @@ from nimprep.conversion.records import FrameFacts
 from nimprep.derive.recipe import Recipe
 from nimprep.doubts.depth import camera_signs, depth_signs
 from nimprep.doubts.findings import find
+from nimprep.doubts.gravity import GRAVITY_KINDS, gravity_doubts
 from nimprep.doubts.judge import NAMED, judge, sentence
 from nimprep.doubts.labels import LABEL_KINDS, label_doubts
 from nimprep.doubts.surfaces import LEAST_IMAGE, level_signs, normal_signs
@@ -27,6 +28,8 @@ from nimprep.splits import SplitName
 from nimprep.store.attributes import StoreAttributes
 from nimprep.store.depth_loss import loss_text
 from nimprep.store.table_specs import CLASS_PIXELS
+
+_ANEW = LABEL_KINDS | GRAVITY_KINDS
 
 Doubts = list[dict[str, Any]]
 
@@ -127,6 +130,12 @@ def doubts_of(
     frames = [(frame.id, frame.signs) for frame in facts]
     found = [d.to_json() for d in judge(frames, filled=filled, most_m=most_m)]
     pixels = np.array([frame.class_pixels for frame in facts])
+    found += doubts_of_gravity(
+        [i for i, _ in frames],
+        [frame.group for frame in facts],
+        np.array([frame.gravity for frame in facts]),
+        np.array([frame.gravity_from == "given" for frame in facts]),
+    )
     return found + doubts_of_labels([i for i, _ in frames], pixels, classes, fixed_splits)
 
 
@@ -146,24 +155,39 @@ def doubts_of_labels(
     return [d.to_json() for d in label_doubts(ids, class_pixels, classes, withheld)]
 
 
-def with_doubts_of_labels(
+def doubts_of_gravity(
+    ids: Sequence[str],
+    groups: Sequence[str],
+    gravity: npt.NDArray[np.float64],
+    given: npt.NDArray[np.bool_],
+) -> Doubts:
+    """Return what is doubted of directions of gravity, as a store's attributes hold it."""
+    return [d.to_json() for d in gravity_doubts(ids, groups, gravity, given)]
+
+
+def with_doubts_of_all(
     about: StoreAttributes, tables: Mapping[str, npt.NDArray[Any]], classes: Sequence[LabelClass]
 ) -> StoreAttributes:
-    """Return what is said of joined stores, with what is doubted of all their labels together."""
-    ids = [str(i) for i in tables["frame_id"]]
-    found = doubts_of_labels(ids, tables[CLASS_PIXELS], classes, about.fixed_splits)
+    """Return what is said of joined stores, with what is doubted of all frames together.
+
+    That is of their labels, and of the directions of gravity within a recording.
+    """
+    ids, groups = ([str(text) for text in tables[name]] for name in ("frame_id", "group"))
+    given = np.array([about.gravity_from(n) == "given" for n in range(len(ids))])
+    found = doubts_of_gravity(ids, groups, tables["gravity"], given)
+    found += doubts_of_labels(ids, tables[CLASS_PIXELS], classes, about.fixed_splits)
     return replace(about, doubts=[*about.doubts, *found])
 
 
 def joined_doubts(found: Iterable[Doubts]) -> Doubts:
     """Return what is doubted of stores together, or found in them.
 
-    That is without doubts of labels, which are counted anew. Of one kind there is one: it says what
-    it says of the part with most such frames.
+    That is without doubts of labels and of gravity, which are looked at anew. Of one kind there is
+    one: it says what it says of the part with most such frames.
     """
     joined: dict[str, dict[str, Any]] = {}
     most: dict[str, int] = {}
-    for doubt in (d for doubts in found for d in doubts if d["kind"] not in LABEL_KINDS):
+    for doubt in (d for doubts in found for d in doubts if d["kind"] not in _ANEW):
         kind = doubt["kind"]
         before = joined.get(kind, {**doubt, "frames": [], "count": 0})
         text = doubt["text"] if doubt["count"] > most.get(kind, 0) else before["text"]

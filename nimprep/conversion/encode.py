@@ -25,6 +25,7 @@ from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality, given_for
 from nimprep.parallel import available_cores, in_order
 from nimprep.readers.base import Reader
+from nimprep.store.attributes import GravitySource
 from nimprep.store.checksums import chunk_checksum
 from nimprep.store.depth_loss import lost_depth
 from nimprep.store.frames import depth_to_integers, from_integers, to_integers
@@ -198,12 +199,21 @@ def _facts(
         baseline_m=float(frame.baseline_m),
         cam_to_road=np.asarray(transform, dtype=np.float64).tolist(),
         gravity=gravity.tolist(),
+        gravity_from=_gravity_source(frame, gravity),
         channel_sums=sums.tolist(),
         class_pixels=pixels.tolist(),
         chunk_crc32c={name: chunk_checksum(chunk) for name, chunk in chunks.items()},
         digest=digest,
         signs=dict(frame.signs),
     )
+
+
+def _gravity_source(frame: Frame, gravity: npt.NDArray[np.float64]) -> GravitySource:
+    if frame.gravity is not None:
+        return "given"
+    if np.isnan(gravity).any():
+        return "none"
+    return "estimated" if frame.cam_to_road is None else "cam_to_road"
 
 
 class _Stored(NamedTuple):

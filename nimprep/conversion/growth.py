@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.conversion.doubted import with_doubts_of_labels
+from nimprep.conversion.doubted import with_doubts_of_all
 from nimprep.conversion.plan import Plan, described, fixed_splits, of_no_split
 from nimprep.conversion.provenance import joined_attributes
 from nimprep.conversion.records import (
@@ -64,7 +64,7 @@ def grow(
         depth_lost=joined_loss((old.about.depth_lost, new.depth_lost), int(counts[1:].sum())),
     )
     joined = _tables(old, plan.reader, records.facts, checksums)
-    writer.finish(joined, with_doubts_of_labels(about, joined, old.classes))
+    writer.finish(joined, with_doubts_of_all(about, joined, old.classes))
     carry_over(Path(old.path), workspace.joined.root)
 
 

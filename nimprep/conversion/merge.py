@@ -20,7 +20,7 @@ from nimprep.conversion.compatibility import (
     padded_size,
     shard_length,
 )
-from nimprep.conversion.doubted import with_doubts_of_labels
+from nimprep.conversion.doubted import with_doubts_of_all
 from nimprep.conversion.plan import warn_of_padding
 from nimprep.conversion.provenance import joined_attributes, with_prefix
 from nimprep.conversion.records import depth_percentiles
@@ -212,7 +212,7 @@ def _write(merge: _Merge, writer: StoreWriter, workers: int, start: Progress) ->
     tables = {**_tables(merge), CLASS_PIXELS: pixels, CHUNK_CHECKSUMS: checksums}
     lost = joined_loss((store.about.depth_lost for store in merge.stores), known)
     about = replace(_attributes(merge, percentiles), depth_lost=lost)
-    writer.finish(tables, with_doubts_of_labels(about, tables, writer.layout.classes))
+    writer.finish(tables, with_doubts_of_all(about, tables, writer.layout.classes))
 
 
 def _tables(merge: _Merge) -> dict[str, npt.NDArray[Any]]:

@@ -25,7 +25,7 @@ from nimprep.readers.crop import CroppedReader, Margins, frame_shapes
 from nimprep.readers.given_splits import files_of_frames, given_splits
 from nimprep.schema import load_schema, schema_problems
 from nimprep.splits import SPLITS, SplitName, SplitRule, assign_splits, check_scenes
-from nimprep.store.attributes import StoreAttributes
+from nimprep.store.attributes import GRAVITY_FROM, StoreAttributes
 from nimprep.store.depth_loss import joined_loss
 from nimprep.store.spec import format_of
 from nimprep.store.storage import Storage
@@ -301,6 +301,12 @@ def plan_splits(reader: Reader, options: ConvertOptions, ids: Sequence[str]) -> 
     return [assigned[i] for i in ids]
 
 
+def metadata_column(values: Sequence[Any]) -> dict[str, list[Any]]:
+    """Return a column of `frame_metadata`: distinct values, and each frame's index among them."""
+    distinct = list(dict.fromkeys(values))
+    return {"values": distinct, "of_frame": [distinct.index(value) for value in values]}
+
+
 def frame_metadata(reader: Reader, ids: Sequence[str]) -> dict[str, Any]:
     """Return what the dataset says of frames beside images: distinct values, and whose.
 
@@ -367,6 +373,9 @@ def described(plan: Plan, records: Records) -> StoreAttributes:
     facts = records.facts
     about = describe(plan, [frame.id for frame in facts])
     filled, fixed = plan.job.options.fill != "none", about.get("fixed_splits", {})
+    if any(frame.gravity_from == "given" for frame in facts):
+        column = metadata_column([frame.gravity_from for frame in facts])
+        about["frame_metadata"] = {**about.get("frame_metadata", {}), GRAVITY_FROM: column}
     depth, counts = plan.job.layout.modality("depth"), records.depth_counts
     return StoreAttributes(
         **about,

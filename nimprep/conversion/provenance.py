@@ -9,6 +9,7 @@ from itertools import chain
 from typing import Any
 
 from nimprep import __version__
+from nimprep.conversion.compatibility import as_said_now
 from nimprep.conversion.doubted import joined_doubts
 from nimprep.doubts.surfaces import joined_noise
 from nimprep.splits import SplitName
@@ -30,7 +31,7 @@ def joined_attributes(
 ) -> StoreAttributes:
     """Return what is said of a store made of these, so many frames each: the first's, mostly.
 
-    Of doubts, those of labels are left out: they are counted anew (`with_doubts_of_labels`).
+    Of doubts, those of labels are left out: they are counted anew (`with_doubts_of_all`).
 
     Its source's digest is the SHA-256 of the parts' digests in order, each followed by a line feed.
 
@@ -52,6 +53,7 @@ def joined_attributes(
         first,
         document={k: v for k, v in first.document.items() if k not in _LAST},
         tool_version=__version__,
+        modalities={name: as_said_now(made) for name, made in first.modalities.items()},
         calibration={**first.calibration, "origin": origin},
         references=_joined_references(about for about, _ in found),
         fixed_splits=fixed,

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from nimprep.modality import Modality
 from nimprep.splits import SPLIT_CODES
+from nimprep.store.attributes import GravitySource
 
 DEPTHS = 1 << 16
 """Values a stored depth can have."""
@@ -58,7 +59,9 @@ class FrameFacts:
     cam_to_road : 3 x 4
         NaN where there is none.
     gravity : 3
-        Direction HHA was made with; NaN without HHA.
+        Direction as given, or as HHA was made with; NaN without either.
+    gravity_from : str
+        Where it comes from: see `nimprep.store.attributes.GRAVITY_SOURCES`.
     channel_sums : 7 x 3
         See `nimprep.store.statistics.channel_sums`.
     class_pixels : K + 1
@@ -80,6 +83,7 @@ class FrameFacts:
     baseline_m: float
     cam_to_road: list[list[float]]
     gravity: list[float]
+    gravity_from: GravitySource
     channel_sums: list[list[int]]
     class_pixels: list[int]
     chunk_crc32c: dict[str, int]

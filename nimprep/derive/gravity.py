@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.arrays import floats, unmasked
+from nimprep.arrays import unmasked
 from nimprep.camera import Camera
 from nimprep.depth import checked_depth
 from nimprep.errors import ArrayError
@@ -129,25 +129,6 @@ def estimate_gravity(
     ECCV 2014.
     """
     return gravity_of_scene(scene_from_depth(depth_m, camera, missing, num_threads))
-
-
-def checked_gravity(gravity: Any) -> npt.NDArray[np.float64]:
-    """Return a direction, of any length, as a unit vector.
-
-    Raises
-    ------
-    ArrayError
-        It is none: not three finite numbers, or all of them 0.
-    """
-    vector = floats(gravity)
-    if vector.shape != (3,):
-        raise ArrayError(f"gravity: expected 3 numbers, found shape {vector.shape}")
-    largest = float(np.abs(vector).max())
-    if not 0 < largest < np.inf:
-        raise ArrayError(f"gravity: expected a direction, found {vector.tolist()}")
-    # Of the largest and the smallest numbers there are, the squares are infinite or 0.
-    vector = vector if 1e-100 < largest < 1e100 else vector / largest
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def normals_of_scene(scene: Scene) -> npt.NDArray[np.float64]:

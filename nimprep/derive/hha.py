@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.camera import Camera
+from nimprep.camera import Camera, unit_gravity
 from nimprep.derive.gravity import (
     Scene,
-    checked_gravity,
     gravity_of_scene,
     normals_of_scene,
     scene_from_depth,
@@ -117,7 +116,7 @@ def encode_hha(
     Gupta et al., Learning rich features from RGB-D images for object detection and segmentation,
     ECCV 2014.
     """
-    known = None if gravity is None else checked_gravity(gravity)
+    known = None if gravity is None else unit_gravity(gravity)
     return _encoded(scene_from_depth(depth_m, camera, missing, num_threads), known, ground).hha
 
 
@@ -146,7 +145,7 @@ def _encoded(scene: Scene, known: npt.NDArray[np.float64] | None, ground: Ground
         raise ArrayError(f"ground: expected one of {', '.join(GROUNDS)}, found {ground!r}")
     normals = normals_of_scene(scene) if known is None or ground == "floor" else None
     gravity = gravity_of_scene(scene, normals) if known is None else known
-    toward = checked_gravity(gravity)
+    toward = unit_gravity(gravity)
     down = _down(toward)
     zero = None
     if normals is not None and ground == "floor":
@@ -220,10 +219,10 @@ def _encode_scene(
 
 
 def make_hha(given: Given) -> Made:
-    """Encode a frame's HHA, with the direction of gravity that its calibration says or shows."""
+    """Encode a frame's HHA, with the gravity it is given, its calibration says, or depth shows."""
     frame, ground = given.frame, given.recipe.ground
-    known = None
-    if frame.cam_to_road is not None:
+    known = frame.gravity
+    if known is None and frame.cam_to_road is not None:
         # The road frame's y axis points down, as the camera's does.
         known = frame.cam_to_road[:, :3].T @ (0.0, 1.0, 0.0)
     made = _encoded(scene_from_depth(given.depth_m, frame.camera, given.missing, 1), known, ground)
@@ -245,7 +244,7 @@ def describe_hha(recipe: Recipe) -> dict[str, Any]:
         "method": "hha",
         "parameters": {
             "fill": recipe.fill,
-            "gravity": "from cam_to_road where a frame has it, else estimated",
+            "gravity": "as given where a frame has it, else from cam_to_road, else estimated",
             "horizontal_disparity": "31000 / max(depth, 100), depth in cm",
             # Stores made before there was a choice do not say it.
             **({} if recipe.ground == "lowest" else {"ground": recipe.ground}),

@@ -28,7 +28,7 @@ class Derived:
     images : dict of modality to array
         As a `Frame` has them.
     gravity : (3,) float64
-        Direction in the camera frame that HHA was made with; NaN without HHA.
+        Direction in the camera frame, as given or as HHA was made with; NaN without either.
     signs : dict of str to float
         What is to be said of the making: see `nimprep.derive.recipe.Made`.
     """
@@ -69,7 +69,8 @@ def derive(
         Those to make; names that are not derived are passed over.
     """
     images: dict[str, npt.NDArray[Any]] = {}
-    gravity, signs = np.full(3, np.nan), dict[str, float]()
+    gravity = np.full(3, np.nan) if frame.gravity is None else frame.gravity
+    signs: dict[str, float] = {}
     if frame.depth_m is None:
         return Derived(images, gravity)
     given = Given(frame, frame.depth_m, missing, recipe)

@@ -30,6 +30,7 @@ TITLES = {
     "mask-255": "Class 255 ignored?",
     "ignored": "Labels ignored",
     "class-missing": "Classes that are nowhere",
+    "gravity-turns": "Gravity turns within a recording",
 }
 """Of each kind of doubt, for people."""
 

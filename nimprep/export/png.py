@@ -139,10 +139,12 @@ def write_records(
 def camera_document(store: Store, index: int) -> dict[str, Any]:
     """Return a frame's camera (schemas/camera.schema.json), and where it came from."""
     baseline_m, transform = float(store.tables.baseline[index]), store.cam_to_road(index)
+    gravity = store.given_gravity(index)
     return {
         **store.camera(index).to_dict(),
         **({} if math.isnan(baseline_m) else {"baseline_m": baseline_m}),
         **({} if transform is None else {"cam_to_road": transform.tolist()}),
+        **({} if gravity is None else {"gravity": gravity.tolist()}),
         # No part of a camera, but a nominal one should not pass for a calibration.
         "origin": store.about.calibration["origin"],
     }

@@ -11,6 +11,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, TypedDict
 
+from nimprep.camera import unit_gravity
 from nimprep.errors import ArrayError, LayoutError, OptionError
 from nimprep.kitti.names import DepthFrom, Target
 from nimprep.options import Options, documented, option, options_of
@@ -49,6 +50,12 @@ class ReaderOptions(Options):
     )
     camera: Path | str | tuple[float, float, float, float] | None = option(
         None, "Camera file: JSON, ROS or OpenCV YAML, COLMAP, KITTI, or numbers alone."
+    )
+    gravity: tuple[float, float, float] | None = option(
+        None,
+        "Direction of gravity in the camera frame, x right, y down, z forward: 0,1,0 where it is "
+        "level; default: as SRC says, else estimated.",
+        metavar="X,Y,Z",
     )
     distortion: DistortionRule | None = option(
         None,
@@ -102,6 +109,9 @@ class ReaderOptions(Options):
             object.__setattr__(self, "variations", tuple(map(str, self.variations)))
         if self.camera is not None and not isinstance(self.camera, (str, PathLike)):
             object.__setattr__(self, "camera", numbers_of(self.camera))
+        if self.gravity is not None:
+            x, y, z = unit_gravity(self.gravity).tolist()
+            object.__setattr__(self, "gravity", (x, y, z))
         if self.size is not None:
             object.__setattr__(self, "size", size_from(self.size))
 
@@ -126,6 +136,7 @@ class ReaderKeywords(TypedDict, total=False):
     reader: ReaderName
     description: Path | str | None
     camera: Path | str | tuple[float, float, float, float] | None
+    gravity: tuple[float, float, float] | None
     distortion: DistortionRule | None
     size: Size | str | None
     depth_scale: float | None

@@ -49,6 +49,8 @@ class GivenCamera:
         are.
     cam_to_road : 12 numbers, optional
         Transform from the camera frame to the road frame, (3, 4) row by row, metres.
+    gravity : 3 numbers, optional
+        Direction in the camera frame, pointing down, of any length.
     """
 
     origin: CalibrationOrigin
@@ -61,6 +63,7 @@ class GivenCamera:
     usual: bool = False
     fov_deg: float = D415_HORIZONTAL_FOV_DEG
     cam_to_road: tuple[float, ...] | None = None
+    gravity: tuple[float, ...] | None = None
 
     def camera(self, height: int, width: int, frame_id: str) -> Camera:
         """Return the camera of a frame of this size.
@@ -226,6 +229,7 @@ def camera_from_numbers(found: CameraNumbers, where: str, source: CameraSource) 
         found.distortion,
         scales=source.for_size is not None,
         cam_to_road=found.cam_to_road,
+        gravity=found.gravity,
     )
     return with_distortion(given, source.distortion)
 

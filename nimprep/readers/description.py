@@ -231,6 +231,42 @@ class CameraSource:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GravitySource:
+    """Say where frames' directions of gravity are: in lists or tables of text, a row for each.
+
+    Attributes
+    ----------
+    files : str
+        Pattern of the lists; without placeholders one for all frames.
+    columns : tuple of str
+        What each column holds: time, x, y, z, or qx, qy, qz, qw; placeholders that tell the row; ""
+        for what is passed over.
+    values : {"gravity", "acceleration", "camera_to_world", "world_to_camera"}
+        What x, y and z are: a vector that points down, or what an accelerometer measures, which at
+        rest points up; or which rotation the quaternion is.
+    down : (3,), optional
+        Gravity's direction in the world of such a rotation.
+    sensor_to_camera : 3 rows of 3, optional
+        Rotation from the axes of x, y and z to the camera's; None = they are the same.
+    by : str, optional
+        The placeholder that is a frame's time stamp; None = that of `Match`.
+    unit_s : float
+        Seconds per unit of the list's time stamps.
+    tolerance_s : float
+        Frames without a row so near in time have none.
+    """
+
+    files: str
+    columns: tuple[str, ...]
+    values: Literal["gravity", "acceleration", "camera_to_world", "world_to_camera"]
+    down: tuple[float, float, float] | None = None
+    sensor_to_camera: tuple[tuple[float, ...], ...] | None = None
+    by: str | None = None
+    unit_s: float = 1.0
+    tolerance_s: float = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
 class SplitSource:
     """Say whose split the dataset's authors chose: by a template and names, or by list files.
 
@@ -274,6 +310,8 @@ class Description:
         What the labels mean, once they are mapped.
     camera : CameraSource, optional
         None = the nominal RealSense D415.
+    gravity : (3,) or GravitySource, optional
+        Of all frames, or of each; None = the camera's, if that has one.
     group : str, optional
         Template of placeholders, or pattern over ids with ``{group}``.
     groups : mapping of frame id to group, optional
@@ -304,6 +342,7 @@ class Description:
     id: str | None = None
     classes: tuple[LabelClass, ...] = ()
     camera: CameraSource | None = None
+    gravity: tuple[float, ...] | GravitySource | None = None
     group: str | None = None
     groups: Mapping[str, str] | None = None
     split: SplitSource | None = None

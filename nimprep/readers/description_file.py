@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nimprep.errors import LayoutError
 from nimprep.frame import LabelClass
 from nimprep.images import OrientationRule, Raw
@@ -17,6 +19,7 @@ from nimprep.readers.description import (
     DepthSource,
     Description,
     ExtraSource,
+    GravitySource,
     Invalid,
     LabelSource,
     Match,
@@ -73,6 +76,7 @@ def description_from_document(document: Any, where: str) -> Description:
         id=document.get("id"),
         classes=classes,
         camera=_camera(document["camera"], where) if "camera" in document else None,
+        gravity=_gravity(document.get("gravity"), where),
         group=_group(document, where),
         split=_split(document.get("split")),
         no_split=document.get("split") is False,
@@ -268,6 +272,52 @@ def _refuse_misspelt(camera: Mapping[str, Any], where: str) -> None:
                 f"{where}: expected keys of a camera that are known, found {key!r}; "
                 f"did you mean {meant!r}?"
             )
+
+
+def _gravity(document: Any, where: str) -> tuple[float, ...] | GravitySource | None:
+    """Return what is said of gravity.
+
+    Raises
+    ------
+    LayoutError
+        Its columns do not hold what its values are said to be.
+    """
+    if not isinstance(document, dict):
+        if document is not None and not any(document):
+            raise LayoutError(
+                f"{where}: expected a direction as 'gravity', found {document}; give numbers of "
+                "which one is not 0"
+            )
+        return _frozen(document)  # type: ignore[no-any-return]
+    source = GravitySource(**{name: _frozen(value) for name, value in document.items()})
+    rotation = source.values in ("camera_to_world", "world_to_camera")
+    needed = ("qx", "qy", "qz", "qw") if rotation else ("x", "y", "z")
+    if missing := [name for name in needed if name not in source.columns]:
+        raise LayoutError(
+            f"{where}: expected the columns {', '.join(needed)} of gravity's {source.values!r}, "
+            f'found no {missing[0]}; name them in "columns", "" for those to pass over'
+        )
+    if rotation != (source.down is not None) or (source.down is not None and not any(source.down)):
+        expected = (
+            "the direction of gravity in the world, such as [0, 0, -1]," if rotation else "no"
+        )
+        raise LayoutError(
+            f"{where}: expected {expected} 'down' with gravity's {source.values!r}, found "
+            f"{source.down}; mend it"
+        )
+    _check_rotation(source.sensor_to_camera, where)
+    return source
+
+
+def _check_rotation(rows: tuple[tuple[float, ...], ...] | None, where: str) -> None:
+    if rows is None:
+        return
+    matrix = np.array(rows)
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
+        raise LayoutError(
+            f"{where}: expected a rotation as sensor_to_camera, found {rows}; give the sensor's "
+            "axes in the camera's frame as its columns"
+        )
 
 
 def _split(document: Any) -> SplitSource | None:

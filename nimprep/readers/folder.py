@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from nimprep.readers.description import (
 from nimprep.readers.description_file import description_from_file
 from nimprep.readers.extra_values import extra_image, extra_record
 from nimprep.readers.frame_cameras import FrameCameras
+from nimprep.readers.frame_gravity import FrameGravity
 from nimprep.readers.label_map import map_from_text, with_map
 from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
@@ -78,6 +79,8 @@ class FolderReader(ReaderBase):
         What raw labels mean, "0:0,255:1", in place of the description's map.
     depth : bool
         Whether to read depth; without, it need not be there.
+    gravity : (3,), optional
+        Direction of gravity in the camera frame, pointing down, in place of the description's.
     official : bool
         Keep the split of the dataset's authors; if not, frames without labels keep theirs alone.
 
@@ -101,6 +104,7 @@ class FolderReader(ReaderBase):
         size: Size | None = None,
         official: bool = True,
         depth: bool = True,
+        gravity: Sequence[float] | None = None,
     ) -> None:
         self.root = Path(root)
         check_root(self.root)
@@ -123,6 +127,7 @@ class FolderReader(ReaderBase):
         self._cameras = FrameCameras(
             self.root, description.camera, self._matched, camera, distortion
         )
+        self._gravity = FrameGravity(self.root, description, self._matched, gravity)
         self._depth_cameras = self._cameras_of_depth(distortion)
         self._colors = NamedColors(self.root, description.label, self._matched)
         of_depth = {} if self._depth_cameras is None else self._depth_cameras.lacking
@@ -146,6 +151,7 @@ class FolderReader(ReaderBase):
                 *self._distortion_notes(),
                 *self._matched.notes,
                 *self._splits.notes,
+                *self._gravity.notes,
                 *(rule_notes if official and not self._splits.of_frame else ()),
                 *self._label_notes(),
                 *color_notes(description.rgb),
@@ -220,7 +226,8 @@ class FolderReader(ReaderBase):
         """
         images = (place.path for place in self._places(frame_id).values())
         of_depth = self._depth_cameras.sources(frame_id) if self._depth_cameras else ()
-        said = (*self._cameras.sources(frame_id), *of_depth, *self._colors.sources(frame_id))
+        told = (*self._colors.sources(frame_id), *self._gravity.sources(frame_id))
+        said = (*self._cameras.sources(frame_id), *of_depth, *told)
         return tuple(dict.fromkeys((*images, *said)))
 
     def shape(self, frame_id: str) -> tuple[int, int]:
@@ -279,6 +286,7 @@ class FolderReader(ReaderBase):
             group=self.group(frame_id),
             baseline_m=given.baseline_m,
             cam_to_road=given.transform(),
+            gravity=self._gravity.of(frame_id, given.gravity),
             others={n: images[n] for n in self._description.planes if n in images},
         )
 

@@ -10,6 +10,7 @@ gmrp/
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,6 +51,7 @@ def open_gmrp(
     size: Size | None = None,
     official: bool = True,
     depth: bool = True,
+    gravity: Sequence[float] | None = None,
 ) -> FolderReader:
     """Open a folder in GMRP's layout.
 
@@ -70,4 +72,5 @@ def open_gmrp(
         size=size,
         official=official,
         depth=depth,
+        gravity=gravity,
     )

@@ -17,13 +17,14 @@ Images may have other endings: what is lossless for labels and depth, any for co
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.camera import unit_gravity
 from nimprep.depth_unit import DepthNumbers
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import IGNORE_LABEL, Frame, LabelClass
@@ -97,6 +98,8 @@ class KittiRoadReader(ReaderBase):
         Where it comes from.
     sparse : bool
         Leave LiDAR and stereo as measured.
+    gravity : (3,), optional
+        Direction of gravity in the camera frame, pointing down, in place of the calibration's.
 
     Raises
     ------
@@ -115,8 +118,10 @@ class KittiRoadReader(ReaderBase):
         depth_from: DepthFrom = "auto",
         sparse: bool = False,
         official: bool = True,
+        gravity: Sequence[float] | None = None,
     ) -> None:
         self.root = Path(root)
+        self._gravity = None if gravity is None else unit_gravity(gravity)
         self._labels, self._target, self._sparse = labels, target, sparse
         self._files: dict[str, RoadFiles] = {}
         self._depth: dict[str, DepthOrigin] = {}
@@ -237,6 +242,7 @@ class KittiRoadReader(ReaderBase):
             group=self.group(frame_id),
             baseline_m=calibration.baseline_m if "P3" in calibration.matrices else float("nan"),
             cam_to_road=calibration.cam_to_road if calibration.has_road else None,
+            gravity=self._gravity,
         )
 
     def _label(self, files: RoadFiles, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:

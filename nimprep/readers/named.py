@@ -40,6 +40,7 @@ def open_named(
     lists: Path | str | None = None,
     official: bool = True,
     depth: bool = True,
+    gravity: Sequence[float] | None = None,
 ) -> Reader:
     """Open a folder of a dataset that is known by name.
 
@@ -91,6 +92,7 @@ def open_named(
         "size": size,
         "official": official,
         "depth": depth,
+        "gravity": gravity,
     }
     return _opened(
         root, description, found, keywords, {**chosen, "label_set": label_set, "lists": lists}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -108,7 +108,7 @@ def _times(
     listed = None
     if name in match.lists:
         there = {image.place.path.relative_to(root).as_posix() for image in images}
-        listed, lost = _listed_times(root, match.lists[name], there)
+        listed, lost = listed_times(root, match.lists[name], there)
         if lost:
             notes.append(
                 f"{len(lost)} images that lists of {name} name are not there, first {lost[0]}"
@@ -133,8 +133,8 @@ def _times(
     return found
 
 
-def _listed_times(
-    root: Path, pattern: str, there: set[str]
+def listed_times(
+    root: Path, pattern: str, there: Set[str] = frozenset()
 ) -> tuple[dict[str, tuple[tuple[tuple[str, str], ...], Fraction]], list[str]]:
     """Return the time of each file in TUM's lists, and what their own placeholders stand for.
 
@@ -149,7 +149,7 @@ def _listed_times(
             "mend the pattern"
         )
     for path, values in lists:
-        for row in rows_of(_text(path)):
+        for row in rows_of(text_of(path)):
             time = time_from(row[0])
             if time is None or len(row) < 2:
                 raise LayoutError(
@@ -210,7 +210,7 @@ def _by_pairs(
     made.places = {kind: {} for kind in kinds}
     unknown, there = 0, set()
     for path, _ in found_files(root, match.pairs or ""):
-        for row in rows_of(_text(path)):
+        for row in rows_of(text_of(path)):
             if len(row) < len(match.columns):
                 raise LayoutError(
                     f"{path}: expected {len(match.columns)} columns, found {' '.join(row)[:80]!r}; "
@@ -253,6 +253,13 @@ def _names(root: Path, places: Mapping[str, Place]) -> FrameNames:
     return FrameNames({i: [p.path.relative_to(root).as_posix()] for i, p in places.items()})
 
 
-def _text(path: Path) -> list[str]:
+def text_of(path: Path) -> list[str]:
+    """Return the lines of a list.
+
+    Raises
+    ------
+    LayoutError
+        It cannot be read.
+    """
     data = read_file(path, MAX_BYTES, "a readable list", LayoutError)
     return data.decode("utf-8-sig", "replace").splitlines()

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import Any, Literal, NotRequired, TypedDict, get_args
 
 from nimprep.splits import SplitName, SplitRule
 from nimprep.store.depth_loss import DepthLost
+
+GRAVITY_FROM = "gravity_from"
+"""The column of `frame_metadata` that says where frames' directions of gravity come from."""
+
+GravitySource = Literal["given", "cam_to_road", "estimated", "none"]
+
+GRAVITY_SOURCES: tuple[GravitySource, ...] = get_args(GravitySource)
 
 
 class Split(TypedDict):
@@ -65,6 +72,17 @@ class StoreAttributes:
     digest: str | None = None
     split_before: PastSplit | None = None
     document: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def gravity_from(self, index: int) -> GravitySource | None:
+        """Return where a frame's direction of gravity comes from; None = nothing is said of it."""
+        column = self.frame_metadata.get(GRAVITY_FROM)
+        said = None if column is None else column["values"][column["of_frame"][index]]
+        return said if said in GRAVITY_SOURCES else None
+
+    @property
+    def has_gravity(self) -> bool:
+        """Whether gravity was given for some frame."""
+        return "given" in self.frame_metadata.get(GRAVITY_FROM, {}).get("values", ())
 
     @property
     def class_ids(self) -> list[int]:

@@ -109,6 +109,7 @@ def _camera(store: Store) -> dict[str, Any]:
         "intrinsics": k[0].tolist() if same else None,
         "baseline_m": [float(baseline.min()), float(baseline.max())] if baseline.size else None,
         "frames_with_cam_to_road": int(road.sum()),
+        "gravity": dict(sorted(Counter(map(store.gravity_source, range(len(store)))).items())),
     }
 
 
@@ -144,6 +145,8 @@ def info_text(info: dict[str, Any]) -> str:
     if info["depth_sources"]:
         sources = ", ".join(f"{name} {count}" for name, count in info["depth_sources"].items())
         rows.insert(4, ("from", sources))
+    if "given" in (gravity := info["calibration"]["gravity"]):
+        rows.append(("gravity", ", ".join(f"{name} {n}" for name, n in gravity.items())))
     if any(info["crop"].values()):
         margins = ", ".join(f"{side} {n}" for side, n in info["crop"].items())
         rows.append(("crop", f"{margins} pixels cut off"))

@@ -16,7 +16,7 @@ from nimprep.modality import MODALITIES, Modality
 from nimprep.schema import MAX_BYTES, check_json
 from nimprep.splits import SPLIT_CODES, SPLIT_NAMES
 from nimprep.store.access import storage_from
-from nimprep.store.attributes import StoreAttributes
+from nimprep.store.attributes import GravitySource, StoreAttributes
 from nimprep.store.checksums import digest_problem
 from nimprep.store.connection import RequestError
 from nimprep.store.frame_tables import read_tables
@@ -151,6 +151,7 @@ class Store:
             group=self.tables.group[index],
             baseline_m=float(self.tables.baseline[index]),
             cam_to_road=self.cam_to_road(index),
+            gravity=self.given_gravity(index),
         )
 
     def __iter__(self) -> Iterator[Frame]:
@@ -185,6 +186,20 @@ class Store:
         """Return a frame's (3, 4) transform from the camera to the road frame; None = none."""
         transform = self.tables.cam_to_road[index]
         return None if np.isnan(transform).any() else transform
+
+    def gravity_source(self, index: int) -> GravitySource:
+        """Return where a frame's direction of gravity, in the table, comes from."""
+        said = self.about.gravity_from(index)
+        if said is not None:
+            return said
+        if np.isnan(self.tables.gravity[index]).any():
+            return "none"
+        return "estimated" if self.cam_to_road(index) is None else "cam_to_road"
+
+    def given_gravity(self, index: int) -> npt.NDArray[np.float64] | None:
+        """Return a frame's direction of gravity, (3,), where it was given; None = it was not."""
+        given = self.gravity_source(index) == "given"
+        return self.tables.gravity[index] if given else None
 
     def indices(self, split: str | None = None) -> npt.NDArray[np.int64]:
         """Return the indices of a split's frames; None = all.

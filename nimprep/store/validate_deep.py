@@ -167,6 +167,7 @@ def _recomputed_problems(
         depth_m=from_integers(store.arrays["depth"].modality, images["depth"]),
         baseline_m=float(store.tables.baseline[index]),
         cam_to_road=store.cam_to_road(index),
+        gravity=store.given_gravity(index),
     )
     missing = None
     made = {name: store.arrays[name].modality.derived for name in images}

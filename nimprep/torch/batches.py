@@ -56,6 +56,8 @@ class BatchMaker:
             batch["label"] = new(height, width, dtype=label)
         batch["id"] = [""] * count
         batch["intrinsics"] = new(3, 3)
+        if self.images.store.about.has_gravity:
+            batch["gravity"] = new(3)
         batch["size"] = new(2, dtype=torch.int64)
         return batch
 
@@ -95,6 +97,8 @@ class BatchMaker:
         tables = images.store.tables
         batch["id"][position] = images.store.ids[index]
         batch["intrinsics"][position] = torch.from_numpy(tables.intrinsics[index])
+        if "gravity" in batch:
+            batch["gravity"][position] = torch.from_numpy(tables.gravity[index])
         batch["size"][position] = torch.from_numpy(tables.image_size[index])
 
     def _places(self, batch: Batch, position: int) -> list[tuple[str, Tensor]]:

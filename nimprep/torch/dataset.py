@@ -69,7 +69,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
         (1, H, W) float32 metres, "normal" (3, H, W) float32, "hha" (3, H, W) uint8, "disparity",
         "transformed_disparity", "elevation" (1, H, W) float32 as a `Frame` has them, as far as they
         are used; planes (1, H, W) float32 in their units, NaN = none, or uint8, and under "planes"
-        their records, to be handed on; "label" (H, W) int64; "intrinsics" (3, 3) float64; "id";
+        their records, to be handed on; "label" (H, W) int64; "intrinsics" (3, 3) float64;
+        "gravity" (3,) float64, pointing down, NaN = none, if the store was given any; "id";
         "size" (height, width) without padding; "generator", a `torch.Generator` to draw from,
         seeded as said above. Returns such a dict. One of `torchvision.transforms.v2` or
         albumentations 2 is applied to all planes alike; see `nimprep.torch.transforms.Torchvision`.
@@ -326,10 +327,14 @@ class StoreDataset(Dataset[dict[str, Any]]):
         return {
             **{name: self.images.image(name, index) for name in named},
             "intrinsics": torch.from_numpy(self.store.tables.intrinsics[index].copy()),
+            **({"gravity": self._gravity(index)} if self.store.about.has_gravity else {}),
             "id": self.ids[item],
             "size": (height, width),
             **({"planes": self._planes} if self._planes else {}),
         }
+
+    def _gravity(self, index: int) -> Tensor:
+        return torch.from_numpy(self.store.tables.gravity[index].copy())
 
     def _assembled(self, raw: dict[str, Any]) -> Sample:
         """Normalise what a transform returned and put it together."""
@@ -343,6 +348,8 @@ class StoreDataset(Dataset[dict[str, Any]]):
             sample["label"] = raw["label"].to(torch.int64)
         sample["id"] = raw["id"]
         sample["intrinsics"] = torch.as_tensor(raw["intrinsics"]).to(torch.float32)
+        if "gravity" in raw:
+            sample["gravity"] = torch.as_tensor(raw["gravity"]).to(torch.float32)
         sample["size"] = torch.as_tensor(raw["size"], dtype=torch.int64)
         return sample
 

@@ -10,6 +10,7 @@ import pytest
 
 from nimprep.camera import Camera
 from nimprep.doubts.depth import camera_signs, depth_signs, staircase_signs
+from nimprep.doubts.gravity import GRAVITY_KINDS
 from nimprep.doubts.judge import RULES, TITLES, Doubt, judge, sentence
 from nimprep.doubts.labels import LABEL_KINDS
 from nimprep.doubts.raw import raw_signs
@@ -55,7 +56,7 @@ def test_nothing_is_doubted_of_good_frames_or_of_none() -> None:
 def test_every_rule_has_a_sign_that_frames_have_and_a_case_here() -> None:
     assert {rule.sign for rule in RULES} <= GOOD.keys()
     assert {rule.kind for rule in RULES} | {"beyond-range"} == DOUBTFUL.keys()
-    assert DOUBTFUL.keys() | LABEL_KINDS == TITLES.keys()
+    assert DOUBTFUL.keys() | LABEL_KINDS | GRAVITY_KINDS == TITLES.keys()
 
 
 @pytest.mark.parametrize("kind", DOUBTFUL)

@@ -200,6 +200,20 @@ def _camera(document: Mapping[str, Any], where: str) -> CameraNumbers | None:
         rectified,
         pixel_origin=1 if number_of(document.get("pixel_origin")) == 1 else 0,
         cam_to_road=_transform(document.get("cam_to_road"), where),
+        gravity=_gravity(document.get("gravity"), where),
+    )
+
+
+def _gravity(given: Any, where: str) -> tuple[float, ...] | None:
+    """Return a direction's 3 numbers; None = the file says none."""
+    if given is None:
+        return None
+    numbers = numbers_in(given)
+    if len(numbers) == 3 and any(numbers):
+        return numbers
+    raise CameraError(
+        f"{where}: expected gravity to be a direction, 3 numbers, not all of them 0, found "
+        f"{str(given)[:80]}; give [x, y, z] with x right, y down and z forward, or leave it out"
     )
 
 

@@ -36,6 +36,8 @@ class CameraNumbers:
         Coordinate of the centre of the top-left pixel.
     cam_to_road : 12 numbers, optional
         Transform from the camera frame to the road frame, (3, 4) row by row, metres.
+    gravity : 3 numbers, optional
+        Direction in the camera frame, pointing down, of any length.
     """
 
     intrinsics: Intrinsics
@@ -46,6 +48,7 @@ class CameraNumbers:
     rectified: Intrinsics | None = None
     pixel_origin: int = 0
     cam_to_road: tuple[float, ...] | None = None
+    gravity: tuple[float, ...] | None = None
 
 
 def number_of(value: Any) -> float:

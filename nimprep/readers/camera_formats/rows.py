@@ -5,6 +5,7 @@ Its intrinsic.txt begins with ``frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]``.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +15,9 @@ from nimprep.readers.camera_formats.numbers import CameraNumbers, number_of, siz
 
 _NAMES = {"k[0,0]": "fx", "k[1,1]": "fy", "k[0,2]": "cx", "k[1,2]": "cy"}
 _NAMES |= {"fl_x": "fx", "fl_y": "fy", "ppx": "cx", "ppy": "cy"}
+_GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 _NAMES |= {name: name for name in ("fx", "fy", "cx", "cy", "width", "height", "baseline_m")}
+_NAMES |= {name: name for name in _GRAVITY}
 _SEPARATOR = re.compile(r"\s*[,;\t](?![^\[\]]*\])\s*|\s+")
 
 
@@ -49,7 +52,7 @@ class CameraTable:
             There is no row for it, or several that differ.
         """
         known = tuple(name for name in self.names if name in captured)
-        key = tuple(_plain(captured[name]) for name in known)
+        key = tuple(plain(captured[name]) for name in known)
         by_key = self._shared.get(known)
         if by_key is None:
             by_key = self._shared[known] = self._by(known)
@@ -141,10 +144,25 @@ def _row(
         "table",
         size_of(cells.get("width"), cells.get("height")),
         number_of(cells.get("baseline_m")),
+        gravity=_gravity(cells, where),
     )
-    return tuple(_plain(cells[name]) for name in names), camera
+    return tuple(plain(cells[name]) for name in names), camera
 
 
-def _plain(word: str) -> str:
+def _gravity(cells: Mapping[str, str], where: str) -> tuple[float, ...] | None:
+    """Return the direction of gravity in a row; None = the table has no such columns."""
+    there = [name for name in _GRAVITY if name in cells]
+    if not there:
+        return None
+    numbers = tuple(number_of(cells.get(name)) for name in _GRAVITY)
+    if any(map(math.isnan, numbers)) or not any(numbers):
+        raise CameraError(
+            f"{where}: expected a direction in {', '.join(_GRAVITY)}, found "
+            f"{', '.join(str(cells.get(name)) for name in _GRAVITY)}; give all three, not all 0"
+        )
+    return numbers
+
+
+def plain(word: str) -> str:
     """Return a cell, or what a placeholder stands for, with 00012 as 12."""
     return str(int(word)) if word.isascii() and word.isdecimal() and len(word) < 20 else word

@@ -16,6 +16,8 @@ a plane's name            float32 (1, H, W), or     in its units, NaN = none
                                                     are any: whoever drops it loses the planes
 ``label``                 int64 (H, W)              255 = ignore
 ``intrinsics``            float64 (3, 3), pixels    K
+``gravity``               float64 (3,)              direction in the camera frame, pointing down;
+                                                    there if the store was given any; NaN = none
 ``size``                  (height, width)           of the frame itself, at the top left; what lies
                                                     outside is padding
 ``id``                    str

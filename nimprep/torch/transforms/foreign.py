@@ -183,6 +183,12 @@ def _sample(before: Sample, planes: Planes, names: str) -> Sample:
             # Of a mirrored world, so that focal lengths stay positive; see `flip`.
             mirror = torch.diag(move.signs())
             after["intrinsics"] = (torch.linalg.inv(move.matrix) @ k.double() @ mirror).to(k.dtype)
+    if "gravity" in before:
+        g: Tensor = before["gravity"]
+        # As K: of the same camera frame, or of that of a mirrored world.
+        after["gravity"] = (
+            torch.full_like(g, torch.nan) if move.kind == "warp" else (g * move.signs().to(g.dtype))
+        )
     return _padded(before, after)
 
 

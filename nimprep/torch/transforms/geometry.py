@@ -154,6 +154,8 @@ def crop(sample: Sample, top: int, left: int, height: int, width: int) -> Sample
 def flip(sample: Sample) -> Sample:
     """Mirror the frame left to right: n_x changes sign and cx becomes W - 1 - cx.
 
+    So does x of ``gravity``, where a sample has it; crops and other sizes leave it as it is.
+
     HHA, disparities and elevation have no direction across the image, so they are mirrored like a
     colour. Padding stays at the right, and W is the frame's own width.
     """
@@ -171,6 +173,8 @@ def flip(sample: Sample) -> Sample:
         k = sample["intrinsics"].clone()
         k[0, 2] = width - 1 - k[0, 2]
         result["intrinsics"] = k
+    if "gravity" in sample:
+        result["gravity"] = sample["gravity"] * sample["gravity"].new_tensor([-1, 1, 1])
     return result
 
 
