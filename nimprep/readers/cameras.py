@@ -20,7 +20,7 @@ from nimprep.readers.camera_formats import (
     numbers_from_file,
 )
 from nimprep.readers.description import CameraSource, DistortionRule
-from nimprep.readers.distortion import Distortion
+from nimprep.readers.distortion import Distortion, distortion_from
 
 
 @dataclass(frozen=True)
@@ -220,13 +220,14 @@ def camera_from_numbers(found: CameraNumbers, where: str, source: CameraSource) 
                 f"{where}: expected a camera for {size[1]}x{size[0]} pixels as for_size says, "
                 f"found one for {found.size[1]}x{found.size[0]}; leave for_size out"
             )
+    lens = found.distortion or distortion_from(None, source.coefficients)
     given = GivenCamera(
         "file",
         where,
         numbers,
         size,
         baseline_m,
-        found.distortion,
+        lens,
         scales=source.for_size is not None,
         cam_to_road=found.cam_to_road,
         gravity=found.gravity,

@@ -86,14 +86,23 @@ class ColorSource(PlaneSource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class TransformSource:
+    """Say which file has a rigid transform, under which key, and whether it is the other way."""
+
+    files: str
+    key: str | None = None
+    invert: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class DepthSource(PlaneSource):
     """Say where depth is and what its numbers mean.
 
     Attributes
     ----------
-    values : {"depth", "distance", "disparity", "inverse"}
+    values : {"depth", "distance", "disparity", "inverse", "points"}
         What `scale * raw + offset` is: metres along the optical axis or along the ray, pixels of
-        disparity, or 1/metre.
+        disparity, or 1/metre; or the file is no image but a laser scanner's points.
     scale, offset : float
     baseline_m, fx : float, optional
         Of disparity; None = the camera's.
@@ -114,9 +123,13 @@ class DepthSource(PlaneSource):
         Of depth, where it is another than colour's.
     depth_to_rgb : 4 rows of 4, metres, optional
         From the depth camera's frame to the colour camera's.
+    columns : int
+        Numbers of a point.
+    to_camera : TransformSource, optional
+        From the scanner's frame to the colour camera's.
     """
 
-    values: Literal["depth", "distance", "disparity", "inverse"] = "depth"
+    values: Literal["depth", "distance", "disparity", "inverse", "points"] = "depth"
     scale: float = 0.001
     offset: float = 0.0
     baseline_m: float | None = None
@@ -131,6 +144,13 @@ class DepthSource(PlaneSource):
     least_confidence: float = 1.0
     camera: CameraSource | None = None
     depth_to_rgb: tuple[tuple[float, ...], ...] | None = None
+    columns: int = 4
+    to_camera: TransformSource | None = None
+
+    @property
+    def of_points(self) -> bool:
+        """Tell whether its files are a scanner's points, which are projected into colour."""
+        return self.values == "points"
 
     @property
     def in_metres(self) -> bool:
@@ -205,6 +225,8 @@ class CameraSource:
     pixel_origin : {0, 1}
     baseline_m : float, optional
     distortion : {"undistort", "refuse", "rectified"}
+    coefficients : tuple of float
+        Of the lens, in OpenCV's order, where the file does not say them.
     unknown : bool
         The dataset has none: it must be given.
     fov_deg : float, optional
@@ -224,6 +246,7 @@ class CameraSource:
     pixel_origin: int = 0
     baseline_m: float | None = None
     distortion: DistortionRule = "undistort"
+    coefficients: tuple[float, ...] = ()
     unknown: bool = False
     fov_deg: float | None = None
     nominal: str | None = None
@@ -270,14 +293,16 @@ class GravitySource:
 class SplitSource:
     """Say whose split the dataset's authors chose: by a template and names, or by list files.
 
-    The lists' patterns are below `folder`; None = the dataset's. What neither can say, code does:
-    `frames` by id, the others being in no split.
+    The lists' patterns are below `folder`; None = the dataset's. A frame in lists of two splits is
+    an error, or in the last of train, val and test. What neither can say, code does: `frames` by
+    id, the others being in no split.
     """
 
     of: str | None = None
     names: Mapping[str, SplitName | Literal["skip"]] | None = None
     lists: Mapping[SplitName, str] = field(default_factory=dict)
-    rest: SplitName | Literal["error", "skip"] = "error"
+    rest: SplitName | Literal["error", "skip", "none"] = "error"
+    twice: Literal["error", "last"] = "error"
     folder: Path | None = None
     frames: Mapping[str, SplitName] | None = None
 

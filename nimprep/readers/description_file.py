@@ -25,6 +25,7 @@ from nimprep.readers.description import (
     Match,
     PlaneSource,
     SplitSource,
+    TransformSource,
     metres_per_unit,
 )
 from nimprep.readers.label_map import check_classes, with_map
@@ -37,6 +38,7 @@ _SCALES = {
     "distance": ("scale_m", "offset_m"),
     "disparity": ("scale_px", "offset_px"),
     "inverse": ("scale_per_m", "offset_per_m"),
+    "points": ("scale_m", "offset_m"),
 }
 """The keys of scale and offset, by what depth's values are."""
 
@@ -171,9 +173,10 @@ def _depth(document: Mapping[str, Any], where: str) -> DepthSource:
         raise LayoutError(f"{where}: expected {scale} in 'depth', found none; add it")
     _check_depth(document, values, where)
     plain = ("values", "baseline_m", "fx", "range_m", "clip_m", "rotate_right", "bytes", "bytes_as")
-    given = _plane(document, *plain)
+    given = _plane(document, *plain, "columns")
     confidence = document.get("confidence")
     camera, transform = document.get("camera"), document.get("depth_to_rgb")
+    to_camera = document.get("to_camera")
     return DepthSource(
         **given,
         scale=float(document[scale]),
@@ -183,11 +186,13 @@ def _depth(document: Mapping[str, Any], where: str) -> DepthSource:
         least_confidence=1.0 if confidence is None else float(confidence.get("least", 1)),
         camera=None if camera is None else _camera(camera, where),
         depth_to_rgb=None if transform is None else _transform(transform, where),
+        to_camera=None if to_camera is None else TransformSource(**to_camera),
     )
 
 
 def _check_depth(document: Mapping[str, Any], values: str, where: str) -> None:
     """Raise `LayoutError` where what is said of depth would be passed over, or contradicts."""
+    _check_points(document, values, where)
     packed: str = document.get("bytes", "")
     stereo = [name for name in ("baseline_m", "fx") if name in document]
     wrong = {
@@ -207,6 +212,28 @@ def _check_depth(document: Mapping[str, Any], values: str, where: str) -> None:
     for expected in (expected for expected, is_wrong in wrong.items() if is_wrong):
         found = {"values": values} | {n: document[n] for n in ("bytes", "channel") if n in document}
         raise LayoutError(f"{where}: expected {expected} of depth, found {found}; mend the two")
+
+
+_OF_IMAGES = (
+    *("offset_m", "invalid", "range_m", "clip_m", "rotate_right", "bytes", "channel", "byte_order"),
+    *("key", "axes", "raw", "confidence", "camera", "depth_to_rgb"),
+)
+"""What is said of depth's images, and of no points."""
+
+
+def _check_points(document: Mapping[str, Any], values: str, where: str) -> None:
+    """Raise `LayoutError` where points lack their place, or images have that of points."""
+    if values == "points" and "to_camera" not in document:
+        raise LayoutError(
+            f"{where}: expected 'to_camera' with depth whose values are points, found none; say "
+            "which file has the transform"
+        )
+    wrong = _OF_IMAGES if values == "points" else ("to_camera", "columns")
+    if lost := [name for name in wrong if name in document]:
+        raise LayoutError(
+            f"{where}: expected no {lost[0]!r} with depth whose values are {values!r}, found one; "
+            "leave it out"
+        )
 
 
 def _invalid(value: Any) -> Invalid:

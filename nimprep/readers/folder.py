@@ -45,6 +45,7 @@ from nimprep.readers.matching import Place, check_group, formatted, group_of, ma
 from nimprep.readers.missing import judged
 from nimprep.readers.official_splits import official_splits, usual_rule, without_labelled
 from nimprep.readers.orientation import orientation_signs
+from nimprep.readers.points import ScannerPlaces, depth_of_points
 from nimprep.readers.registration import (
     Cameras,
     Registered,
@@ -130,9 +131,10 @@ class FolderReader(ReaderBase):
         self._gravity = FrameGravity(self.root, description, self._matched, gravity)
         self._depth_cameras = self._cameras_of_depth(distortion)
         self._colors = NamedColors(self.root, description.label, self._matched)
+        self._scanner = ScannerPlaces(self.root, description.depth, self._matched)
         of_depth = {} if self._depth_cameras is None else self._depth_cameras.lacking
         lacking = {**self._colors.lacking, **of_depth, **self._cameras.lacking}
-        lacking |= self._matched.lacking
+        lacking |= {**self._scanner.lacking, **self._matched.lacking}
         self._matched = replace(self._matched, lacking=lacking)
         rule, rule_notes = usual_rule(description, map(self.group, self.ids))
         self.info = DatasetInfo(
@@ -185,6 +187,11 @@ class FolderReader(ReaderBase):
 
     def _distortion_notes(self) -> Iterator[str]:
         """Yield what is said of depth that is warped, and of distortion that is taken out."""
+        if self._of_points:
+            yield (
+                "depth is a laser scanner's, a pixel here and there: normals, HHA and the like "
+                "need it filled, --fill linear"
+            )
         if self._depth_cameras is not None:
             yield "depth was taken by another camera: it is warped into colour by depth_to_rgb"
         camera = self._cameras.distorted()
@@ -228,6 +235,7 @@ class FolderReader(ReaderBase):
         of_depth = self._depth_cameras.sources(frame_id) if self._depth_cameras else ()
         told = (*self._colors.sources(frame_id), *self._gravity.sources(frame_id))
         said = (*self._cameras.sources(frame_id), *of_depth, *told)
+        said += self._scanner.sources(frame_id)
         return tuple(dict.fromkeys((*images, *said)))
 
     def shape(self, frame_id: str) -> tuple[int, int]:
@@ -246,6 +254,7 @@ class FolderReader(ReaderBase):
         wanted = {*modalities, CONFIDENCE}
         of_depth = None if self._depth_cameras is None else self._depth_cameras.of(frame_id)
         chosen = {n: p for n, p in places.items() if n in wanted}
+        scan = chosen.pop("depth", None) if self._of_points else None
         labels = self._colors.source(frame_id) if "label" in chosen else None
         images, signs = self._images(chosen, of_depth or camera, labels)
         absent = {n for n in self._matched.places if n in modalities and n not in places}
@@ -255,11 +264,19 @@ class FolderReader(ReaderBase):
             cameras = Cameras(camera, of_depth)
             made = registered(frame_id, images, places, cameras, self._description)
         images = {**made.images, **self._none(absent, made.camera.shape)}
+        if scan is not None and self._description.depth is not None:
+            images["depth"] = depth_of_points(
+                scan, self._description.depth, self._scanner.of(frame_id), camera, made.camera
+            )
         return replace(
             self._frame(frame_id, made.camera, images, camera),
             absent=frozenset(absent),
             signs={**signs, **orientation_signs(places, self._description)},
         )
+
+    @property
+    def _of_points(self) -> bool:
+        return self._description.depth is not None and self._description.depth.of_points
 
     def _none(self, names: Collection[str], shape: tuple[int, int]) -> dict[str, npt.NDArray[Any]]:
         """Return images of a frame that has none of these kinds."""

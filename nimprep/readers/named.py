@@ -239,9 +239,11 @@ def _check_unpacked(
     root: Path, description: Description, dataset: Dataset, listings: Listings, *, given: bool
 ) -> None:
     """Raise `LayoutError` where there is no file of a kind: its archive was not unpacked, say."""
-    wanted = {n: s.files for n, s in description.sources() if s.missing not in ("none", "skip")}
+    wanted = {n: s.files for n, s in description.sources() if s.missing != "none"}
     if description.camera is not None and description.camera.files and not given:
         wanted["camera"] = description.camera.files
+    if description.depth is not None and description.depth.to_camera is not None:
+        wanted["to_camera"] = description.depth.to_camera.files
     if description.label is not None and description.label.names:
         wanted["colors"] = description.label.names
     for name, pattern in wanted.items():

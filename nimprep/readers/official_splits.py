@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ from nimprep.readers.patterns import placeholders
 from nimprep.readers.split_lists import CALLED, FrameNames, listed_splits, lists_beside
 from nimprep.readers.split_signs import split_note
 from nimprep.readers.tree import found_files
-from nimprep.splits import LEAST_GROUPS, SPLITS
+from nimprep.splits import LEAST_GROUPS
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,15 @@ def _skip_note(skipped: Collection[str], matched: Matched) -> tuple[str, ...]:
     )
 
 
+def _twice_note(frames: Sequence[str]) -> tuple[str, ...]:
+    if not frames:
+        return ()
+    return (
+        f"{len(frames)} frames are in the lists of several splits, first {frames[0]!r}: they are "
+        "in the last of train, val and test",
+    )
+
+
 def _by_lists(root: Path, source: SplitSource, matched: Matched) -> OfficialSplits:
     """Return the splits that the description's lists name."""
     lists = []
@@ -158,7 +167,7 @@ def _by_lists(root: Path, source: SplitSource, matched: Matched) -> OfficialSpli
                 f"{root}: expected lists {files!r} of {called}, found none; mend the pattern"
             )
         lists += found
-    listed = listed_splits(lists, _names(root, matched))
+    listed = listed_splits(lists, _names(root, matched), last=source.twice == "last")
     if listed.unknown:
         others = len(listed.unknown) - 1
         more = f", and {others} more lines are none" if others else ""
@@ -172,10 +181,14 @@ def _by_lists(root: Path, source: SplitSource, matched: Matched) -> OfficialSpli
             f'none, first {rest[0]!r}; say with "rest" in "split" what becomes of them, "skip" '
             "leaves them out"
         )
-    split = SPLITS.get(source.rest)
-    if split is None:
-        return OfficialSplits(listed.of_frame, frozenset(rest), _skip_note(rest, matched))
-    return OfficialSplits({**listed.of_frame, **dict.fromkeys(rest, split)})
+    notes = _twice_note(listed.twice)
+    if source.rest == "skip" or source.rest == "error":
+        notes += _skip_note(rest, matched)
+        return OfficialSplits(listed.of_frame, frozenset(rest), notes)
+    if source.rest == "none" and rest:
+        notes += (f"{len(rest)} of {len(matched.ids)} frames are in none of its lists: no split",)
+    every: dict[str, OfficialSplit] = {**listed.of_frame, **dict.fromkeys(rest, source.rest)}
+    return OfficialSplits(every, notes=notes)
 
 
 def _by_folders(root: Path, matched: Matched) -> OfficialSplits | None:

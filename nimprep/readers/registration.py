@@ -116,7 +116,7 @@ def registered_shape(places: Mapping[str, Place], description: Description) -> t
     """
     if isinstance(description.size, tuple):
         return description.size[1], description.size[0]
-    names = ["rgb"] if _is_warped(description) else ["depth", "rgb", *places]
+    names = ["rgb"] if _is_apart(description) else ["depth", "rgb", *places]
     first: str = next((name for name in names if name in places), "rgb")
     wanted: str = first if description.size is None else description.size
     if wanted not in places:
@@ -128,8 +128,10 @@ def registered_shape(places: Mapping[str, Place], description: Description) -> t
     return _size(wanted, places, description)
 
 
-def _is_warped(description: Description) -> bool:
-    return description.depth is not None and description.depth.camera is not None
+def _is_apart(description: Description) -> bool:
+    """Return whether depth is no image of colour's camera: of another, or points."""
+    depth = description.depth
+    return depth is not None and (depth.camera is not None or depth.of_points)
 
 
 def camera_of_sizes(
@@ -146,7 +148,7 @@ def camera_of_sizes(
         return camera
     if camera.size is not None:
         return replace(camera, scales=True)
-    names = ("rgb",) if _is_warped(description) else ("rgb", "depth")
+    names = ("rgb",) if _is_apart(description) else ("rgb", "depth")
     sizes = {name: _size(name, places, description) for name in names if name in places}
     if len(set(sizes.values())) > 1:
         said = ", ".join(f"{name} of {w}x{h}" for name, (h, w) in sizes.items())

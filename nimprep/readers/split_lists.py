@@ -94,14 +94,26 @@ class FrameNames:
 
 
 class Listed(NamedTuple):
-    """Say which frames lists name, and which lines name none, as a message says them."""
+    """Say which frames lists name, and which lines name none, as a message says them.
+
+    `twice` are frames in the lists of several splits, where these may be.
+    """
 
     of_frame: dict[str, SplitName]
     unknown: list[str]
+    twice: tuple[str, ...] = ()
 
 
-def listed_splits(lists: Iterable[tuple[SplitName, Path]], names: FrameNames) -> Listed:
+def listed_splits(
+    lists: Iterable[tuple[SplitName, Path]], names: FrameNames, *, last: bool = False
+) -> Listed:
     """Read the lists of splits.
+
+    Parameters
+    ----------
+    last : bool
+        A frame in the lists of several splits is in the last of train, val and test, so that
+        nothing is trained on that is tested; without, it is an error.
 
     Raises
     ------
@@ -109,13 +121,19 @@ def listed_splits(lists: Iterable[tuple[SplitName, Path]], names: FrameNames) ->
         One cannot be read; a line names two frames; or a frame is in the lists of two splits.
     """
     lists = list(lists)
-    listed = _listed(lists, names, loose=False)
+    listed = _listed(lists, names, loose=False, last=last)
     # Folders above the dataset's, and others below it that the lists do not know.
-    return listed if listed.of_frame else _listed(lists, names, loose=True)
+    return listed if listed.of_frame else _listed(lists, names, loose=True, last=last)
 
 
-def _listed(lists: Iterable[tuple[SplitName, Path]], names: FrameNames, *, loose: bool) -> Listed:
+_ORDER: tuple[SplitName, ...] = ("train", "val", "test")
+
+
+def _listed(
+    lists: Iterable[tuple[SplitName, Path]], names: FrameNames, *, loose: bool, last: bool
+) -> Listed:
     found: dict[str, SplitName] = {}
+    twice: dict[str, None] = {}
     unknown: list[str] = []
     for split, path in lists:
         for line in _lines(path):
@@ -124,12 +142,15 @@ def _listed(lists: Iterable[tuple[SplitName, Path]], names: FrameNames, *, loose
                 # A table's first line says what its columns are.
                 if line.number > 1 or path.suffix.lower() != ".csv":
                     unknown.append(f"{path}: line {line.number}: {' '.join(line.ways[-1])[:80]!r}")
-            elif found.setdefault(frame_id, split) != split:
+            elif found.setdefault(frame_id, split) != split and last:
+                twice[frame_id] = None
+                found[frame_id] = max(split, found[frame_id], key=_ORDER.index)
+            elif found[frame_id] != split:
                 raise SplitError(
                     f"{path}: line {line.number}: expected each frame in one split, found "
                     f"{frame_id!r} in {found[frame_id]} too; take it out of one list"
                 )
-    return Listed(found, unknown)
+    return Listed(found, unknown, tuple(twice))
 
 
 def lists_beside(path: Path) -> list[tuple[SplitName, Path]]:
