@@ -11,6 +11,7 @@ from nimprep.cli.echo import echo
 from nimprep.cli.options import options_alone, said_by, usage_error
 from nimprep.cli.training_watcher import watcher_for
 from nimprep.errors import ArrayError
+from nimprep.options import options_of
 from nimprep.text import printable
 from nimprep.training.config import read_config
 from nimprep.training.options import TrainOptions
@@ -51,7 +52,13 @@ def train(
         raise usage_error(error, TrainOptions) from error
     import nimprep.training
 
-    done = nimprep.training.train(store, out, options, watcher=watcher_for(quiet))
+    try:
+        done = nimprep.training.train(store, out, options, watcher=watcher_for(quiet))
+    except ArrayError as error:
+        if str(error).partition(": ")[0] in options_of(TrainOptions):
+            # What only the store and the machine show to be wrong is a wrong call as well.
+            raise usage_error(error, TrainOptions) from error
+        raise
     best = done.best
     scores = ", ".join(
         f"{said} {100 * best[name]:.2f}"

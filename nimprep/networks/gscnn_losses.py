@@ -1,15 +1,20 @@
 """GSCNN's losses of edges, and of edges and classes that disagree.
 
-Written as the paper states them in "Joint multi-task learning" and "Dual task regularizer", with
-its weights. It writes sums over pixels; here each is a mean over the pixels that count, so that
-weights mean the same at every size, as in the authors' code. What that code does otherwise:
+Written as the paper states them: equation 3 with lambda 1 = 20 and lambda 2 = 1, its binary
+cross-entropy balanced by a coefficient beta; equations 4 to 8 with lambda 3 = lambda 4 = 1, tau = 1
+and the threshold 0.8. Equation 6 lacks a minus sign, as its authors say. The paper writes sums over
+pixels; here each is a mean over the pixels that count, so that weights mean the same at every size.
+What it leaves open is ours and said where it stands: beta's formula, how wide an edge of the labels
+is, and the Gaussian's sigma. The public code (nv-tlabs/GSCNN, 2019) does otherwise:
 
-- edges: each pixel is weighted by the share of the other kind in the batch, and the network's
-  probabilities go through a sigmoid a second time;
-- classes: cross-entropy is weighted by the frequencies of each image's own labels;
-- the regularizer: a triangular filter of radius 4 and central differences in place of a Gaussian
-  and Sobel's kernel; a gradient per class, divided by its largest; a sample of the Gumbel softmax
-  at temperature 0.5 forward, too; ignored pixels are taken for class 0.
+- edges: the network's probabilities go through a sigmoid a second time; the image's border is an
+  edge, the border of the first class alone is none;
+- classes, here and where edges are certain: cross-entropy is weighted by 2 minus each label's share
+  of its own image, and summed over a batch's images;
+- the regularizer: its functions that smooth and differentiate return at once what they are given,
+  which its authors called a bug, so that it compares not gradients but each class's probability,
+  divided by the batch's largest, at every pixel; a sample of the Gumbel softmax at temperature 0.5
+  stands for argmax forward too; ignored pixels are taken for class 0.
 
 Source: Takikawa et al., "Gated-SCNN: Gated shape CNNs for semantic segmentation", ICCV 2019.
 """
@@ -25,19 +30,19 @@ from torch.nn import functional
 from nimprep.networks.losses import cross_entropy, mean_where
 
 EDGE_WEIGHT = 20.0
-"""Lambda 1; lambda 2 to 4, of classes and of both parts of the regularizer, are 1."""
+"""Lambda 1 of equation 3; lambda 2 to 4, of classes and of the regularizer's parts, are 1."""
 
 CERTAIN = 0.8
-"""How likely an edge must be for its pixel to count in the attention loss."""
+"""How likely an edge must be for its pixel to count in the attention loss: equation 6."""
 
 TEMPERATURE = 1.0
-"""Of the Gumbel softmax that stands for argmax in the gradient."""
+"""Tau of the Gumbel softmax that stands for argmax in the gradient: equation 8."""
 
 RADIUS = 2
-"""How near to another class a pixel is an edge, pixels; the paper does not say."""
+"""How near to another class a pixel is an edge, pixels: the public code's."""
 
 SIGMA = 1.0
-"""Of the Gaussian before the gradient, pixels; the paper does not say."""
+"""Of the Gaussian before the gradient, pixels: ours."""
 
 _REACH = 3
 _NOTHING = 1e-5
@@ -60,7 +65,11 @@ def label_edges(labels: Tensor, ignore_index: int, radius: int = RADIUS) -> Tens
 
 
 def edge_loss(edge: Tensor, labels: Tensor, ignore_index: int) -> Tensor:
-    """Return the binary cross-entropy of the edges, the mean over labelled pixels.
+    """Return the balanced binary cross-entropy of the edges, the mean over labelled pixels.
+
+    Edges count times beta, the share of pixels that are none, and others times 1 - beta: few are
+    edges, and both kinds count alike (Xie & Tu, "Holistically-nested edge detection", ICCV 2015,
+    equation 2). 0 where all pixels are of one kind.
 
     Parameters
     ----------
@@ -70,10 +79,12 @@ def edge_loss(edge: Tensor, labels: Tensor, ignore_index: int) -> Tensor:
     ignore_index : int
     """
     wanted = label_edges(labels, ignore_index)
+    known = labels != ignore_index
     with torch.autocast(edge.device.type, enabled=False):
         likely = edge[:, 0].to(torch.promote_types(edge.dtype, torch.float32))
         each = functional.binary_cross_entropy(likely, wanted.to(likely.dtype), reduction="none")
-        return mean_where(each, labels != ignore_index)
+        beta = mean_where((~wanted).to(likely.dtype), known)
+        return mean_where(each * torch.where(wanted, beta, 1 - beta), known)
 
 
 def attention_loss(
@@ -83,7 +94,7 @@ def attention_loss(
     class_weights: Tensor | None,
     ignore_index: int,
 ) -> Tensor:
-    """Return the cross-entropy where an edge is certain, the second part of the regularizer."""
+    """Return the cross-entropy where an edge is certain: equation 6, with its minus sign."""
     certain = edge.detach()[:, 0] > CERTAIN
     there = torch.where(certain, labels, ignore_index)
     return cross_entropy(logits, there, class_weights, ignore_index)
@@ -92,10 +103,11 @@ def attention_loss(
 def dual_task_loss(logits: Tensor, labels: Tensor, ignore_index: int) -> Tensor:
     """Return how far edges of the predicted classes are from those of the labels.
 
-    The regularizer's first part: the mean of |zeta - zeta'| over the pixels where either is not 0,
-    zeta being 1/sqrt(2) times the length, over classes and both directions, of the gradient of the
-    smoothed classes. Classes are argmax; the gradient goes through a Gumbel softmax, whose noise is
-    drawn from torch's generator. Where the filters reach an ignored pixel nothing counts.
+    Equation 5: the mean of |zeta - zeta'| over the pixels where either is not 0, zeta (equation 4)
+    being 1/sqrt(2) times the length, over classes and both directions, of the gradient, by Sobel's
+    kernel, of the smoothed classes. Classes are argmax; the gradient goes through a Gumbel softmax
+    (equation 8), whose noise is drawn from torch's generator. Where the filters reach an ignored
+    pixel nothing counts.
     """
     known = labels != ignore_index
     classes = logits.shape[1]

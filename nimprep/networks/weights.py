@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pickle
 import re
+import struct
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +24,22 @@ FIRST = ("features.0.weight", "conv1.weight", "features.conv0.weight")
 
 _OLD_NAME = re.compile(r"^(.*denselayer\d+\.(?:norm|conv))\.([12]\.\w+)$")
 """DenseNet's layers as torchvision's files have them: norm.1 for norm1."""
+
+_DAMAGED = (
+    pickle.UnpicklingError,
+    struct.error,
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What `torch.load` raises of other files, and of damaged ones: it follows what bytes say."""
 
 MARK = "nimprep_network"
 """The key of a file's dict that holds all of a network, under "state"."""
@@ -68,13 +85,29 @@ def read_weights(path: Path) -> dict[str, Any]:
         It cannot be read, or holds something else.
     """
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError) as error:
-        reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
-        raise ArrayError(f"{path}: expected a file of weights, found {reason}") from error
+        with path.open("rb") as file:
+            found = _loaded(file, path)
+    except OSError as error:
+        raise ArrayError(
+            f"{path}: expected a file of weights, found {error.strerror or 'one out of reach'}"
+        ) from error
     if not isinstance(found, dict):
         raise ArrayError(f"{path}: expected tensors by name, found {type(found).__name__}")
     return found
+
+
+def _loaded(file: BinaryIO, path: Path) -> Any:
+    """Return what a file of PyTorch's holds."""
+    try:
+        with warnings.catch_warnings():
+            # That a file is of another protocol is no matter where it loads, and said where not.
+            warnings.simplefilter("ignore")
+            return torch.load(file, map_location="cpu", weights_only=True)
+    except _DAMAGED as error:
+        whole = isinstance(error, pickle.UnpicklingError) and "GLOBAL" in str(error)
+        kind = "a program's objects" if whole else "another, or a damaged one"
+        more = "; torch.save(network.state_dict(), ...) writes what is read here" if whole else ""
+        raise ArrayError(f"{path}: expected a file of weights, found {kind}{more}") from error
 
 
 def tensors_in(found: Mapping[str, Any]) -> dict[str, Tensor]:
@@ -93,6 +126,8 @@ def _whole(network: Network, found: Mapping[str, Any], path: Path) -> Loaded:
             f"{path}: expected weights of this {type(network).__name__}, found those of a "
             f"{found[MARK]} of other sizes; build it with the same inputs, classes and width"
         )
+    for name, tensor in state.items():
+        _check_numbers(name, tensor, path)
     network.load_state_dict(state)
     return Loaded(tuple(own), (), (), ())
 
@@ -100,7 +135,13 @@ def _whole(network: Network, found: Mapping[str, Any], path: Path) -> Loaded:
 def _encoders(network: Network, tensors: Mapping[str, Tensor], path: Path) -> Loaded:
     own = network.state_dict(keep_vars=True)
     tensors = {_OLD_NAME.sub(r"\1\2", name): tensor for name, tensor in tensors.items()}
+    if not tensors:
+        raise ArrayError(
+            f"{path}: expected tensors by name, found none; give torchvision's weights of the "
+            "encoder, or the best.pt of a run"
+        )
     loaded, adapted, missing, used = [], [], [], set()
+    found: list[tuple[Tensor, Tensor]] = []
     for place, name in _places(network):
         if name not in tensors:
             missing.append(name)
@@ -114,8 +155,8 @@ def _encoders(network: Network, tensors: Mapping[str, Tensor], path: Path) -> Lo
                 f"{path}: expected {name} of shape {tuple(target.shape)}, found "
                 f"{tuple(given.shape)}; weights fit width 1 and the network's own encoder"
             )
-        with torch.no_grad():
-            target.copy_(fitted)
+        _check_numbers(name, fitted, path)
+        found.append((target, fitted))
         loaded.append(place)
         used.add(name)
         adapted += [place] if other else []
@@ -124,6 +165,10 @@ def _encoders(network: Network, tensors: Mapping[str, Tensor], path: Path) -> Lo
             f"{path}: expected weights of {type(network).__name__}'s encoder by torchvision's "
             f"names, found none among {len(tensors)} tensors"
         )
+    # All of them or, where one does not fit, none.
+    with torch.no_grad():
+        for target, fitted in found:
+            target.copy_(fitted)
     initial = tuple(name for name in own if name not in set(loaded))
     unused = tuple(name for name in tensors if name not in used)
     _say_others(path, network, missing, unused)
@@ -166,13 +211,21 @@ def _places(network: Network) -> Iterator[tuple[str, str]]:
             yield f"{ours}.{kind}", f"{theirs}.{kind}"
 
 
+def _check_numbers(name: str, tensor: Tensor, path: Path) -> None:
+    """Raise `ArrayError` where a tensor that is to be loaded holds no finite numbers."""
+    counter = name.endswith("num_batches_tracked")
+    if not (tensor.is_floating_point() or counter) or not bool(torch.isfinite(tensor).all()):
+        found = "some that are none" if tensor.is_floating_point() else f"{tensor.dtype}"
+        raise ArrayError(f"{path}: expected finite floats in {name}, found {found}")
+
+
 def _fitted(given: Tensor, target: Tensor, name: str) -> tuple[Tensor | None, bool]:
     """Return a file's tensor as the network takes it, and whether it is of other channels."""
     if given.shape == target.shape:
         return given, False
     rest = (given.shape[:1] + given.shape[2:], target.shape[:1] + target.shape[2:])
     if name in FIRST and rest[0] == rest[1]:
-        return given.mean(dim=1, keepdim=True).expand_as(target), True
+        return given.to(target.dtype).mean(dim=1, keepdim=True).expand_as(target), True
     # A classifier's fully connected layer is a convolution over all that it saw.
     if name.startswith("classifier") and given.numel() == target.numel():
         return given.reshape(target.shape), False

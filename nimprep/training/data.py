@@ -174,11 +174,16 @@ def frame_size(store: Store) -> tuple[int, int]:
     Raises
     ------
     StoreError
-        It has no labels, or its frames are too small for any network.
+        It has no labels, or of one class alone; or its frames are too small for any network.
     """
     if not store.classes or "label" not in store.modalities:
         raise StoreError(
             f"{store.path}: expected labels, found none; convert a dataset with labels"
+        )
+    if len(store.classes) == 1:
+        raise StoreError(
+            f"{store.path}: expected two classes or more, found {store.classes[0].name!r} alone; "
+            "there is nothing to tell apart"
         )
     height, width = (int(n) for n in next(iter(store.arrays.values())).shape[1:3])
     if min(height, width) < SMALLEST:
@@ -187,6 +192,12 @@ def frame_size(store: Store) -> tuple[int, int]:
             f"{width}x{height}; networks take no smaller ones"
         )
     return height, width
+
+
+def without_pixels(data: StoreDataset) -> str:
+    """Return the classes that no label of a split is of, by commas."""
+    pixels = [*data.class_pixels().tolist(), *[0] * len(data.store.classes)]
+    return ", ".join(c.name for c, n in zip(data.store.classes, pixels, strict=False) if not n)
 
 
 def _augmentation(options: TrainOptions) -> Compose | None:

@@ -93,6 +93,11 @@ def _check_state(out: Path, state: RunState, digest: str, processes: int) -> Non
             f"{out}: expected the store that its run was begun with, found one of other frames, "
             "splits or pixels; give that one, another --out, or --overwrite"
         )
+    if state.best and not (out / BEST).exists():
+        raise LayoutError(
+            f"{out / BEST}: expected the best weights so far of the run that goes on, found none; "
+            "put them back, or give another --out or --overwrite"
+        )
     if state.processes != processes:
         raise LayoutError(
             f"{out}: expected {state.processes} processes, with which its run was begun, found "

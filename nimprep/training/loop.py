@@ -153,7 +153,7 @@ class Loop:
             "loss": loss,
             "lr": self.rate,
         }
-        best = self.val is None or not state.best or worth > _worth(state.best, self.options.metric)
+        best = self.val is None or _better(score, state.best, self.options.metric)
         if best:
             state.best = {**line, "metric": self.options.metric, **found}
             self._save_best()
@@ -247,10 +247,12 @@ def described(feed: Feed, options: TrainOptions, data: StoreDataset) -> Checkpoi
     )
 
 
-def _worth(best: Mapping[str, Any], metric: str) -> float:
-    """Return the score of the best so far; any is more than none."""
-    score = best.get(metric)
-    return -math.inf if score is None else float(score)
+def _better(score: float | None, best: Mapping[str, Any], metric: str) -> bool:
+    """Tell whether weights of such a score are kept: of none that has one, the last."""
+    before = best.get(metric)
+    if score is None or before is None:
+        return before is None
+    return score > float(before)
 
 
 def _loader(data: StoreDataset, options: TrainOptions) -> StoreLoader:

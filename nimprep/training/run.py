@@ -17,7 +17,7 @@ from nimprep.store.lock import locked_folder
 from nimprep.store.reader import Store, open_store
 from nimprep.torch.ranks import ranks
 from nimprep.training.config import options_for
-from nimprep.training.data import Feed, frame_size
+from nimprep.training.data import Feed, frame_size, without_pixels
 from nimprep.training.distributed import device_from, is_first, process_group, shared
 from nimprep.training.folder import enter
 from nimprep.training.log import Silence, Watcher, check_tensorboard
@@ -109,7 +109,7 @@ def train(
             loop = Loop(Path(out), options, feed, network, precision, watched, stop)
             with _held(Path(out)):
                 state = _entered(Path(out), options, opened)
-                _say(watched, feed, options, state, network)
+                _say(watched, loop, state, network)
                 if state.ended < options.epochs:
                     loop.run(state)
         return Trained(Path(out), options, state.step, dict(state.best))
@@ -185,15 +185,17 @@ def _entered(out: Path, options: TrainOptions, store: Store) -> RunState:
     return found
 
 
-def _say(
-    watcher: Watcher, feed: Feed, options: TrainOptions, state: RunState, network: Network
-) -> None:
+def _say(watcher: Watcher, loop: Loop, state: RunState, network: Network) -> None:
     """Say what is begun, and what a person might take for granted and is not."""
-    assert options.network is not None
+    options, path = loop.options, loop.feed.store.path
     if network.loaded is not None and not state.step:
         watcher.say(f"{options.weights}: {network.loaded}")
-    if not feed.has("val"):
-        watcher.say(f"{feed.store.path}: no frames in val; best.pt has the last epoch's weights")
+    if lacking := without_pixels(loop.data):
+        watcher.say(f"{path}: no pixels of {lacking} in train; nothing of it is learned")
+    if loop.val is None:
+        watcher.say(f"{path}: no frames in val; best.pt has the last epoch's weights")
+    elif lacking := without_pixels(loop.val):
+        watcher.say(f"{path}: no pixels of {lacking} in val; no score says what is learned of it")
     if state.ended == options.epochs:
         watcher.say("the run is complete; --epochs and another --out make a longer one")
     elif state.step:

@@ -75,18 +75,22 @@ def test_edges_are_those_of_a_plain_search() -> None:
     assert np.array_equal(label_edges(labels, IGNORE).numpy(), wanted)
 
 
-def test_the_edge_loss_is_the_mean_binary_cross_entropy() -> None:
+def test_the_edge_loss_is_the_balanced_binary_cross_entropy() -> None:
     _, edge, labels = some()
+    known = (labels != IGNORE).numpy()
     wanted = label_edges(labels, IGNORE).numpy()
-    total, count = 0.0, 0
+    beta = (known & ~wanted).sum() / known.sum()
+    total = 0.0
     for place in np.ndindex(wanted.shape):
-        if labels[place] != IGNORE:
+        if known[place]:
             likely = float(edge[:, 0][place])
-            total -= math.log(likely if wanted[place] else 1 - likely)
-            count += 1
-    assert float(edge_loss(edge, labels, IGNORE)) == pytest.approx(total / count, rel=1e-5)
+            total -= beta * math.log(likely) if wanted[place] else (1 - beta) * math.log(1 - likely)
+    assert float(edge_loss(edge, labels, IGNORE)) == pytest.approx(total / known.sum(), rel=1e-5)
+    # Edges and others count alike: beta (1 - beta) log 2 each.
     half = torch.full_like(edge, 0.5)
-    assert float(edge_loss(half, labels, IGNORE)) == pytest.approx(math.log(2))
+    alike = 2 * beta * (1 - beta) * math.log(2)
+    assert float(edge_loss(half, labels, IGNORE)) == pytest.approx(alike, rel=1e-5)
+    assert float(edge_loss(half, labels * 0, IGNORE)) == 0
 
 
 def test_attention_counts_pixels_of_certain_edges_alone() -> None:

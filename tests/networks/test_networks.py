@@ -1,13 +1,16 @@
 """What every network does: any size, any channels, training, weights from files."""
 
+import pickle
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nimprep.errors import ArrayError
+from nimprep.errors import ArrayError, DoubtWarning
 from nimprep.networks import (
     NETWORKS,
     Network,
@@ -172,6 +175,83 @@ def test_weights_of_another_shape_or_of_nothing_here_are_refused(tmp_path: Path)
         load_weights(made("gscnn"), path)
     path.write_bytes(b"no weights")
     with pytest.raises(ArrayError, match=r"weights\.pth: expected a file of weights"):
+        load_weights(made("segnet"), path)
+
+
+NO_WEIGHTS = {
+    "empty": b"",
+    "text": b"export PATH=/bin\n.gnu\n",
+    "picture": b"\x89PNG\r\n\x1a\n" + bytes(range(60)),
+    "archive": b"PK\x03\x04" + bytes(200),
+    "stack": b"e.",
+    "memory": b"h\x65.",
+    "length": b"X\xff",
+    "persistent": b"I1\nQ.",
+    "list": pickle.dumps([1]),
+}
+"""Files that PyTorch's reader falls over in ways of its own."""
+
+
+@pytest.mark.parametrize("kind", NO_WEIGHTS)
+def test_a_file_of_something_else_is_one_line(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "w.pth"
+    path.write_bytes(NO_WEIGHTS[kind])
+    with pytest.raises(ArrayError, match=r"w\.pth: expected .*, found (another|list)") as raised:
+        load_weights(made("segnet"), path)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_a_damaged_file_is_one_line(legacy: bool, tmp_path: Path) -> None:
+    path = tmp_path / "w.pth"
+    network = made("segnet")
+    file = {"features.0.weight": torch.rand(8, 3, 3, 3)}
+    torch.save(file, path, _use_new_zipfile_serialization=not legacy)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    refused = []
+    for place in range(120):
+        damaged = bytearray(whole[: None if place % 2 else int(rng.integers(len(whole)))])
+        for at in rng.integers(len(damaged) + 1, size=3 * (place % 2)):
+            damaged[min(at, len(damaged) - 1)] = int(rng.integers(256))
+        path.write_bytes(damaged)
+        try:
+            with warnings.catch_warnings():
+                # Most of the encoder is not in the file.
+                warnings.simplefilter("ignore", DoubtWarning)
+                load_weights(network, path)
+        except ArrayError as error:
+            refused.append(str(error))
+    assert len(refused) > 50
+    assert all(line.startswith(f"{path}: expected ") for line in refused)
+
+
+def test_objects_of_a_program_are_not_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "w.pth"
+    torch.save(made("segnet"), path)
+    with pytest.raises(ArrayError, match=r"found a program's objects; .*state_dict\(\)"):
+        load_weights(made("segnet"), path)
+    torch.save({"epoch": 3}, path)
+    with pytest.raises(ArrayError, match=r"expected tensors by name, found none; give"):
+        load_weights(made("segnet"), path)
+
+
+def test_weights_that_are_no_numbers_are_refused_and_change_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "w.pth"
+    network = made("segnet", channels=1)
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    good = torch.rand(8, 3, 3, 3)
+    for bad in (torch.full((8,), torch.nan), torch.ones(8, dtype=torch.int64), torch.ones(9)):
+        torch.save({"features.0.weight": good, "features.0.bias": bad}, path)
+        with pytest.raises(ArrayError, match=r"expected .*features\.0\.bias"):
+            load_weights(network, path)
+        now = network.state_dict()
+        assert all(torch.equal(now[name], tensor) for name, tensor in before.items())
+    spoiled = made("segnet")
+    with torch.no_grad():
+        spoiled.get_parameter("encoder.features.0.bias").fill_(torch.inf)
+    save_weights(spoiled, path)
+    with pytest.raises(ArrayError, match=r"expected finite floats in encoder\.features\.0\.bias"):
         load_weights(made("segnet"), path)
 
 

@@ -159,6 +159,14 @@ def test_a_damaged_state_is_one_line(store: Path, run: Path, damage: str) -> Non
     assert "\n" not in str(raised.value)
 
 
+def test_a_run_does_not_go_on_without_its_best_weights(store: Path, run: Path) -> None:
+    (run / "best.pt").unlink()
+    with pytest.raises(LayoutError, match=r"best\.pt: expected the best weights .*; put them back"):
+        train(store, run, **OPTIONS)
+    train(store, run, **OPTIONS, overwrite=True)
+    assert (run / "best.pt").exists()
+
+
 def test_a_refused_call_leaves_nothing(store: Path, tmp_path: Path) -> None:
     for wrong, said in [
         ({"setup": "rgb+termal"}, "setup: expected one of rgb, "),

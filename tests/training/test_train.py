@@ -274,6 +274,13 @@ def test_a_wrong_call_is_exit_code_2(store: Path, tmp_path: Path) -> None:
         (["--network", "unet", "--setup", "rgb", "--scale", "2,1"], "--scale: expected two"),
         (["--network", "unet", "--setup", "rgb", "--epochs", "0"], "0 is not in the range"),
         (["--network", "unet", "--setup", "rgb", "--width", "0"], "--width: expected a number"),
+        # These only the store, the network or the machine shows.
+        (["--network", "unet", "--setup", "rgbd"], "--setup: expected one of rgb, depth"),
+        (["--network", "mfnet", "--setup", "rgb"], "--setup: expected one of two parts for mfnet"),
+        (["--network", "unet", "--setup", "rgb", "--crop", "32,64"], "--crop: expected 64,64"),
+        (["--network", "unet", "--setup", "rgb", "--head-lr", "3"], "--head-lr: expected 1 for"),
+        (["--network", "unet", "--setup", "rgb", "--stages", "3"], "--stages: expected none"),
+        (["--network", "unet", "--setup", "rgb", "--device", "gpu"], "--device: expected auto"),
     ]:
         told = CliRunner().invoke(main, [*call, *more])
         assert told.exit_code == 2
