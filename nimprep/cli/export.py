@@ -8,7 +8,21 @@ from typing import Any
 import click
 
 from nimprep.cli.echo import echo
-from nimprep.cli.options import progress_bars, quiet_option
+from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
+
+
+def _size(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[int, ...] | None:
+    return None if value is None else parse_numbers(value, "H,W", int)
+
+
+def _export_onnx(run: str, out: Path, size: tuple[int, int] | None, overwrite: bool) -> None:
+    import nimprep.torch  # noqa: F401  (says which extra it comes with, where it is not there)
+    from nimprep.networks.onnx import export_onnx
+
+    made = export_onnx(run, out, size, overwrite=overwrite)
+    names = ", ".join(f"{entry.name} ({','.join(map(str, entry.shape))})" for entry in made.inputs)
+    height, width = made.size
+    echo(f"{out}: opset {made.opset}, {names}; height {height}, width {width}")
 
 
 @click.command()
@@ -18,10 +32,21 @@ from nimprep.cli.options import progress_bars, quiet_option
     "--format",
     "form",
     type=click.Choice(["png", "rerun", "npz", "rgbx", "roadformer", "voc", "coco"]),
-    required=True,
     help="png: GMRP's raw layout; rerun: one .rrd recording; npz: one archive per frame; rgbx: for "
     "CMX, DFormer and Sigma; roadformer: for RoadFormer; voc: "
     "PASCAL VOC's; coco: COCO's JSON.",
+)
+@click.option(
+    "--onnx",
+    "as_onnx",
+    is_flag=True,
+    help="STORE is a run of nimprep train, OUT the ONNX file of its network.",
+)
+@click.option(
+    "--size",
+    callback=_size,
+    metavar="H,W",
+    help="With --onnx: the frames' height and width; default: of those it was trained on.",
 )
 @click.option(
     "--frames",
@@ -37,13 +62,17 @@ from nimprep.cli.options import progress_bars, quiet_option
     "npz, what the networks read of the others.",
 )
 @click.option(
-    "--overwrite", is_flag=True, help="With rerun, replace OUT where it is there already."
+    "--overwrite",
+    is_flag=True,
+    help="With rerun and --onnx, replace OUT where it is there already.",
 )
 @quiet_option
 def export(
     store: str,
     out: Path,
     form: Any,
+    as_onnx: bool,
+    size: tuple[int, int] | None,
     frames: tuple[str, ...],
     modalities: str | None,
     overwrite: bool,
@@ -82,7 +111,23 @@ def export(
     --frames test         the test split
     --frames 0:10,20:     frames 0 to 9, and from 20 on
     --frames 000003       the frame of this id
+
+    \b
+    nimprep export RUN OUT.onnx --onnx
+        the network of a run of nimprep train, its normals computed inside: rgb, depth and
+        intrinsics in, logits out. Needs the extra: pip install 'nimprep[onnx]'.
     """
+    if as_onnx:
+        if form is not None or frames or modalities is not None:
+            raise click.UsageError(
+                "expected --onnx of a run alone, found --format, --frames or --modalities with it"
+            )
+        _export_onnx(store, out, size, overwrite)
+        return
+    if form is None:
+        raise click.UsageError("expected --format of a store, or --onnx of a run, found neither")
+    if size is not None:
+        raise click.UsageError("expected --onnx with --size, found --format")
     if overwrite and form != "rerun":
         raise click.UsageError(
             f"expected --format rerun with --overwrite, found {form}: a folder must be new or empty"

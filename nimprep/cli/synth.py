@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from nimprep.cli.demo_training import FRAMES, SIZE, check_extra, train_demo
 from nimprep.cli.echo import echo
 from nimprep.cli.options import parse_numbers, progress_bars, quiet_option
 from nimprep.frame import MAX_PIXELS
@@ -66,27 +67,43 @@ def _free_name() -> Path:
 
 @click.command()
 @click.argument("out", type=click.Path(path_type=Path), required=False)
+@click.option("--train", is_flag=True, help="Train a small MFNet on it, predict and score too.")
 @quiet_option
-def demo(out: Path | None, quiet: bool) -> None:
+def demo(out: Path | None, train: bool, quiet: bool) -> None:
     """Make a small dataset in the folder OUT, convert it, check it, and say what to do next.
 
-    Needs no data and no network. OUT is a new or empty folder; default: nimprep-demo.
+    Needs no data and no network. OUT is a new or empty folder; default: nimprep-demo. With --train
+    OUT gets run/, a network that has learned from it, its predictions/ of frames that it has never
+    seen, and evaluation.json, what they are worth: in a few minutes, without a GPU.
     """
+    from nimprep.folders import check_folder
+
+    if train:
+        check_extra()
+    out = out or _free_name()
+    check_folder(out)
+    store = out / "demo.zarr"
+    frames, size = (FRAMES, SIZE) if train else (DEMO_FRAMES, (480, 640))
+    _make_store(out / "raw", store, frames, size, quiet)
+    if train:
+        train_demo(store, out, quiet)
+    else:
+        echo(_NEXT.format(store=printable(str(store))), lines=True)
+
+
+def _make_store(raw: Path, store: Path, frames: int, size: tuple[int, int], quiet: bool) -> None:
+    """Make scenes, convert and check them."""
     import nimprep
     from nimprep.errors import StoreError
-    from nimprep.folders import check_folder
     from nimprep.store.info import info_text, store_info
     from nimprep.store.validate import validate_store
     from nimprep.synthetic import write_synthetic
 
-    out = out or _free_name()
-    check_folder(out)
     progress = progress_bars(quiet)
-    raw, store = out / "raw", out / "demo.zarr"
-
-    _step(f"nimprep synth {raw} --frames {DEMO_FRAMES}")
-    done = progress("ray-casting", DEMO_FRAMES)
-    write_synthetic(raw, DEMO_FRAMES, progress=lambda _: done())
+    said = "" if size == (480, 640) else f" --size {size[1]}x{size[0]}"
+    _step(f"nimprep synth {raw} --frames {frames}{said}")
+    done = progress("ray-casting", frames)
+    write_synthetic(raw, frames, size=size, progress=lambda _: done())
     _step(f"nimprep convert {raw} {store}")
     nimprep.convert(raw, store, progress=progress)
     _step(f"nimprep validate --deep {store}")
@@ -97,7 +114,6 @@ def demo(out: Path | None, quiet: bool) -> None:
     echo()
     _step(f"nimprep info {store}")
     echo(info_text(store_info(store)), lines=True)
-    echo(_NEXT.format(store=printable(str(store))), lines=True)
 
 
 def _step(command: str) -> None:

@@ -11,12 +11,13 @@ import numpy.typing as npt
 from nimprep.errors import DecodeError, LayoutError
 from nimprep.frame import MAX_PIXELS
 from nimprep.images import read_array, read_label
+from nimprep.kitti.names import PREDICTED
 from nimprep.store.reader import Store
 
 SUFFIXES = (".png", ".npy")
 """What a prediction's file may be."""
 
-ABOUT, SCORES = "predictions.json", "scores"
+ABOUT, SCORES = PREDICTED, "scores"
 """What `nimprep predict` puts beside labels: what they are of, and a folder of scores."""
 
 NAMED_AT_MOST = 10

@@ -17,6 +17,7 @@ from nimprep.kitti.images import read_confidence, read_grey
 from nimprep.kitti.names import (
     FRAME_GRAMMAR,
     GRAMMAR,
+    PREDICTED,
     PredictionName,
     Target,
     plain_files,
@@ -104,7 +105,7 @@ def confidence_files(folder: Path, half: Half | None) -> list[Path]:
             f"{folder}: expected predictions of training or of testing frames, found both; "
             "give the one of its subfolders that is meant"
         )
-    own = plain_files(folder)
+    own = [path for path in plain_files(folder) if path.name != PREDICTED]
     taken = own + [p for h, files in halves.items() if half in (None, h) for p in files]
     for other, files in halves.items():
         if not taken:

@@ -15,6 +15,9 @@ from nimprep.images import read_array, read_array_header, read_header, read_labe
 _PNG_LEVEL = 2
 """zlib's level for PNGs written here: levels 3 to 6 take up to twice as long for 3 to 12 % less."""
 
+_OFF = 1e-2
+"""So far from 1 two probabilities may add up to, which float16 rounds too."""
+
 _ROUNDING = 1e-6
 """So far outside [0, 1] a probability may lie."""
 
@@ -40,7 +43,8 @@ def read_confidence(path: Path, *, mask: bool = False) -> npt.NDArray[np.uint8]:
 
     PNG: one channel of 8 or 16 bits, the highest number being surely road; 16 bits become the
     nearest of 8. NumPy: floating probabilities, (H, W) in [0, 1], which become the nearest of
-    0/255 to 255/255.
+    0/255 to 255/255; or (2, H, W), not road and road, which add up to 1, as `nimprep predict` has
+    them.
 
     Parameters
     ----------
@@ -96,6 +100,14 @@ def _confidence_from_probability(path: Path) -> npt.NDArray[np.uint8]:
     if reason:
         raise DecodeError(f"{path}: {reason}")
     array = read_array(path)
+    if array.ndim == 3:
+        off = float(np.abs(array.sum(axis=0, dtype=np.float64) - 1).max())
+        if not off <= _OFF:
+            raise DecodeError(
+                f"{path}: expected planes of not road and road that add up to 1, found sums off by "
+                f"{off:g}; put logits through a softmax first, or write the road's plane alone"
+            )
+        array = array[1]
     low, high = float(array.min()), float(array.max())
     # A softmax in float32 may pass 1 by its rounding.
     if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
@@ -115,7 +127,8 @@ def reason_against_array(path: Path) -> str:
         It is no such file.
     """
     header = read_array_header(path)
-    plane = len(header.shape) == 2 and 0 not in header.shape
+    alone = len(header.shape) == 2 or (len(header.shape) == 3 and header.shape[0] == 2)
+    plane = alone and 0 not in header.shape
     if plane and np.issubdtype(header.dtype, np.floating):
         return ""
     found = f"{header.shape} of {header.dtype}"
@@ -150,3 +163,12 @@ def png_bytes(image: npt.NDArray[Any]) -> bytes:
     stored = image if image.ndim == 2 else np.ascontiguousarray(image[:, :, ::-1])
     _, data = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
     return data.tobytes()
+
+
+def confidence_shape(path: Path) -> tuple[int, int]:
+    """Return height and width of a confidence map, from its header."""
+    if path.suffix.lower() == ".npy":
+        height, width = read_array_header(path).shape[-2:]
+        return height, width
+    header = read_header(path)
+    return header.height, header.width

@@ -28,6 +28,9 @@ GRAMMAR = "<um|umm|uu>_<road|lane>_<six digits> (lane: um only)"
 
 FRAME_GRAMMAR = "<um|umm|uu>_<six digits>"
 
+PREDICTED = "predictions.json"
+"""What `nimprep predict` puts beside its predictions, which is none of them."""
+
 _NAME = re.compile(r"(um|umm|uu)_(road|lane)_([0-9]{6})")
 _FRAME = re.compile(r"(um|umm|uu)_([0-9]{6})")
 _NEARLY = re.compile(r"(umm?|uu)_?(?:(road|lane)_?)?([0-9]{1,6})", re.IGNORECASE)

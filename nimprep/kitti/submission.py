@@ -17,7 +17,7 @@ from nimprep.kitti.archive import ZipWhole
 from nimprep.kitti.bev import BEV_SHAPE, bring_to_bev, frame_calibration, is_bev
 from nimprep.kitti.calibration import frame_shape
 from nimprep.kitti.confidences import SUFFIXES, Confidences, confidence_files, listed
-from nimprep.kitti.images import png_bytes, reason_against_array
+from nimprep.kitti.images import confidence_shape, png_bytes, reason_against_array
 from nimprep.kitti.names import (
     PredictionName,
     Target,
@@ -203,10 +203,12 @@ def _reason_against(path: Path, name: PredictionName, calib: Path | None) -> str
         is_array = path.suffix.lower() == ".npy"
         if is_array and (reason := reason_against_array(path)):
             return reason
-        header = read_header(path)
-        if not is_array and (header.kind != "grey" or header.bits not in (1, 8, 16)):
-            return f"expected 8-bit or 16-bit grey, found {header.bits}-bit {header.kind}"
-        if is_bev((header.height, header.width)):
+        if not is_array:
+            header = read_header(path)
+            if header.kind != "grey" or header.bits not in (1, 8, 16):
+                return f"expected 8-bit or 16-bit grey, found {header.bits}-bit {header.kind}"
+        shape = confidence_shape(path)
+        if is_bev(shape):
             return ""
         calibration = frame_calibration(calib, name.frame, path)
         expected = frame_shape(calibration)
@@ -217,10 +219,10 @@ def _reason_against(path: Path, name: PredictionName, calib: Path | None) -> str
             )
     except NimprepError as error:
         return str(error)
-    if expected != (header.height, header.width):
+    if expected != shape:
         return (
             f"expected {expected[1]}x{expected[0]} or {BEV_SHAPE[1]}x{BEV_SHAPE[0]}, "
-            f"found {header.width}x{header.height}"
+            f"found {shape[1]}x{shape[0]}"
         )
     return ""
 

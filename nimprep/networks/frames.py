@@ -61,6 +61,10 @@ class FrameInputs:
         How derived modalities are made.
     normal_dtype : str, optional
         What normals are rounded to, as a store that holds them does; None = not at all.
+    depth : Modality
+        In the unit of the training's store.
+    is_coarse : bool
+        Whether that is more than a millimetre.
 
     Raises
     ------
@@ -80,7 +84,9 @@ class FrameInputs:
         self.recipe = recipe_of(checkpoint)
         self.normal_dtype = checkpoint.normal_dtype
         unit = self.recipe.depth_unit
-        self._unit = unit if isinstance(unit, float) else MILLIMETRE
+        unit_m = unit if isinstance(unit, float) else MILLIMETRE
+        self.depth = MODALITIES[DEPTH].as_unit(unit_m)
+        self.is_coarse = unit_m > MILLIMETRE
 
     @property
     def modalities(self) -> tuple[str, ...]:
@@ -172,10 +178,9 @@ class FrameInputs:
         self, depth_m: npt.NDArray[np.float32]
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Return depth as it is stored, and as others are derived from it."""
-        record = MODALITIES[DEPTH].as_unit(self._unit)
-        stored, _ = depth_to_integers(record, depth_m)
-        rounded = from_integers(record, stored)
-        if self._unit <= MILLIMETRE:
+        stored, _ = depth_to_integers(self.depth, depth_m)
+        rounded = from_integers(self.depth, stored)
+        if not self.is_coarse:
             return rounded, rounded
         # Coarser units would spoil normals: convert derives from depth as it was read.
         return rounded, np.where(stored > 0, depth_m, np.float32(0))

@@ -173,7 +173,7 @@ def test_a_trial_names_what_is_extra_and_not_the_290_that_are_missing(tmp_path: 
     )
 
 
-@pytest.mark.parametrize("shape", [(2, 375, 1242), (1, 375, 1242), (375, 1242, 2), (375,)])
+@pytest.mark.parametrize("shape", [(3, 375, 1242), (1, 375, 1242), (375, 1242, 2), (375,)])
 def test_a_wrong_array_is_shown_with_its_whole_shape(
     tmp_path: Path, shape: tuple[int, ...]
 ) -> None:
@@ -256,3 +256,25 @@ def test_frame_ids_become_the_benchmarks_names_in_the_birds_eye_view(tmp_path: P
     written = transform_folder(tmp_path / "pred", tmp_path / "bev", None)
     assert written == (tmp_path / "bev" / "um_road_000000.png",)
     np.testing.assert_array_equal(read_png(written[0]), VIEW)
+
+
+@pytest.mark.parametrize("size", [BEV_SHAPE, (HEIGHT, WIDTH)])
+def test_scores_of_not_road_and_road_are_the_roads(tmp_path: Path, size: tuple[int, int]) -> None:
+    road = noise(3, *size) / np.float32(255)
+    _write(tmp_path / "um_000000.npy", np.stack([1 - road, road]))
+    found = read_confidence(tmp_path / "um_000000.npy")
+    np.testing.assert_array_equal(found, noise(3, *size))
+
+
+def test_planes_that_do_not_add_up_are_refused(tmp_path: Path) -> None:
+    _write(tmp_path / "um_000000.npy", np.full((2, *BEV_SHAPE), 0.75, np.float32))
+    with pytest.raises(DecodeError, match=r"add up to 1, found sums off by 0\.5"):
+        read_confidence(tmp_path / "um_000000.npy")
+
+
+def test_what_predict_says_of_its_predictions_is_no_prediction(tmp_path: Path) -> None:
+    _write(tmp_path / "pred" / "um_000000.npy", np.stack([1 - VIEW / 255, VIEW / 255]))
+    (tmp_path / "pred" / "predictions.json").write_text("{}")
+    packed = _pack(tmp_path, "--partial")
+    assert packed.exit_code == 0, packed.stderr
+    assert "1 predictions" in packed.stdout

@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from nimprep.networks import Network, build_network, read_checkpoint, save_checkpoint
+from nimprep.networks.network import SMALLEST
 from nimprep.store.reader import open_store
 from nimprep.torch import StoreDataset, collate
 from nimprep.training import TrainOptions
@@ -36,7 +37,8 @@ def make_run(
                 part.running_mean.uniform_(-0.2, 0.2)
                 part.running_var.uniform_(0.3, 1.0)
     data = feed.open("train")
-    _balance(net.eval(), feed, data)
+    if min(frame_size(opened)) >= SMALLEST:
+        _balance(net.eval(), feed, data)
     out.mkdir(parents=True, exist_ok=True)
     checkpoint = replace(described(feed, full, data), state=net.state_dict())
     save_checkpoint(checkpoint, out / "best.pt")
