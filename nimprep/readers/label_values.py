@@ -41,12 +41,12 @@ def label_image(
     """
     raw = _raw(place, source)
     if raw.ndim == 2:
-        return _of_values(raw, source, classes, place.path)
+        return label_of_values(raw, source, classes, place.path)
     if source.colors is None:
         grey = raw[:, :, 0]
         if raw.shape[2] < 3 or not all(np.array_equal(grey, raw[:, :, c]) for c in (1, 2)):
             raise _colored(raw, place.path, mapped=source.ranges is not None)
-        return _of_values(grey, source, classes, place.path)
+        return label_of_values(grey, source, classes, place.path)
     return _of_colors(raw, source, place.path)
 
 
@@ -70,9 +70,16 @@ def is_jpeg(path: Path) -> bool:
     return read_start(path, len(JPEG)) == JPEG
 
 
-def _of_values(
+def label_of_values(
     raw: npt.NDArray[Any], source: LabelSource, classes: Sequence[LabelClass], path: Path
 ) -> npt.NDArray[np.uint8]:
+    """Return the class ids, (H, W) uint8, of a label's raw values, (H, W) integers.
+
+    Raises
+    ------
+    DecodeError
+        It holds what neither the map nor the classes name.
+    """
     if raw.dtype.kind not in "ui":
         raise DecodeError(
             f"{path}: expected whole numbers as labels, found {raw.dtype}; save them as integers"

@@ -112,10 +112,7 @@ def _with_splits(
                     f"{path}: expected each frame in one split, found {number} in both; give the "
                     "file as it was published"
                 )
-    rest = frames - len(found)
-    told = (f"{rest} of {frames} frames are in no split of {SPLITS}",) if rest else ()
-    notes = (*description.notes, *told)
-    return replace(description, split=SplitSource(frames=found), notes=notes)
+    return replace(description, split=SplitSource(frames=found))
 
 
 def _check_numbers(numbers: Sequence[int], frames: int, path: Path, name: str) -> None:

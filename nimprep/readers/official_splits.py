@@ -16,7 +16,7 @@ from nimprep.readers.patterns import placeholders
 from nimprep.readers.split_lists import CALLED, FrameNames, listed_splits, lists_beside
 from nimprep.readers.split_signs import split_note
 from nimprep.readers.tree import found_files
-from nimprep.splits import LEAST_GROUPS
+from nimprep.splits import LEAST_GROUPS, SplitName
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,7 @@ def official_splits(
     if source is not None and source.of is not None:
         return _by_template(root, source, matched)
     if source is not None and source.frames is not None:
-        none: OfficialSplit = "none"
-        return OfficialSplits({i: source.frames.get(i, none) for i in matched.ids})
+        return _by_frames(source.frames, matched)
     try:
         if source is not None:
             return _by_lists(root, source, matched)
@@ -73,6 +72,14 @@ def official_splits(
             return OfficialSplits()
         way_out = "" if source else f"; {_WAY_OUT}"
         raise LayoutError(f"{error}{way_out}") from error
+
+
+def _by_frames(frames: Mapping[str, SplitName], matched: Matched) -> OfficialSplits:
+    """Return the splits that code knows; frames in none of them are said."""
+    rest = sum(i not in frames for i in matched.ids)
+    told = (f"{rest} of {len(matched.ids)} frames are in no official split",) if rest else ()
+    none: OfficialSplit = "none"
+    return OfficialSplits({i: frames.get(i, none) for i in matched.ids}, notes=told)
 
 
 def without_labelled(splits: OfficialSplits, matched: Matched) -> OfficialSplits:

@@ -185,7 +185,7 @@ def test_frames_in_no_split_are_said(tmp_path: Path) -> None:
     scipy.io.savemat(root / "splits.mat", {"trainNdxs": [1, 2], "testNdxs": [5]})
     reader = open_reader(root)
     assert [reader.fixed_split(i) for i in reader.ids] == ["train", "train", "none", "none", "test"]
-    assert any("2 of 5 frames are in no split" in note for note in reader.info.notes)
+    assert any("2 of 5 frames are in no official split" in note for note in reader.info.notes)
 
 
 def test_files_beside_that_are_none_are_refused(tmp_path: Path) -> None:
