@@ -235,6 +235,9 @@ class CameraSource:
         Whose numbers they are where nobody calibrated the camera.
     folders : tuple of (pattern, CameraSource)
         Cameras by a folder of the colour image, the dataset's own among them; the first that fits.
+    by, table, table_file : optional
+        A placeholder, the numbers by what it stands for (or what is wrong with them), and the file
+        that says them, where code knows them.
     """
 
     numbers: dict[str, Any] | None = None
@@ -251,6 +254,9 @@ class CameraSource:
     fov_deg: float | None = None
     nominal: str | None = None
     folders: tuple[tuple[str, CameraSource], ...] = ()
+    by: str = ""
+    table: Mapping[str, Mapping[str, Any] | str] | None = None
+    table_file: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from nimprep.readers.base import CalibrationOrigin
 from nimprep.readers.camera_formats import CameraNumbers, CameraTable, numbers_from_file
 from nimprep.readers.cameras import (
     GivenCamera,
+    camera_from_document,
     camera_from_numbers,
     nominal_camera,
 )
@@ -66,7 +67,7 @@ class FrameCameras:
         self._shared: tuple[Path, ...] = ()
         self._read: dict[Path, CameraNumbers | CameraTable] = {}
         self._lock = threading.Lock()
-        self._by_folder: Mapping[str, GivenCamera] = {}
+        self._by_frame: Mapping[str, GivenCamera] = {}
         self._camera = given or self._described(root, source, matched, distortion)
 
     def _described(
@@ -84,7 +85,11 @@ class FrameCameras:
                 "does not say its camera, found neither; give one of the two"
             )
         if source.folders:
-            self._by_folder, self.lacking = cameras_by_folder(root, source, matched, distortion)
+            self._by_frame, self.lacking = cameras_by_folder(root, source, matched, distortion)
+            return None
+        if source.table is not None:
+            self._by_frame, self.lacking = cameras_of_table(source, matched)
+            self._shared = () if source.table_file is None else (source.table_file,)
             return None
         if source.files is None:
             return described_camera(source, f"{root}: 'camera'")
@@ -119,14 +124,14 @@ class FrameCameras:
         """Where cameras come from: file, nominal or user."""
         if self._camera is not None:
             return self._camera.origin
-        nominal = any(each.origin == "nominal" for each in self._by_folder.values())
+        nominal = any(each.origin == "nominal" for each in self._by_frame.values())
         return "nominal" if nominal else "file"
 
     def notes(self) -> Iterator[str]:
         """Yield what is said of cameras that nobody calibrated."""
-        nominal = [i for i, each in self._by_folder.items() if each.origin == "nominal"]
+        nominal = [i for i, each in self._by_frame.items() if each.origin == "nominal"]
         if self.origin == "nominal":
-            camera = self._camera or self._by_folder[nominal[0]]
+            camera = self._camera or self._by_frame[nominal[0]]
             of = f" of {len(nominal)} frames, first {nominal[0]!r}" if nominal else ""
             yield (
                 f"no calibration{of}: assuming {camera.where}; give --camera FILE.json or "
@@ -143,8 +148,8 @@ class FrameCameras:
         """
         if self._camera is not None:
             return self._camera
-        if self._by_folder:
-            return self._by_folder[frame_id]
+        if self._by_frame:
+            return self._by_frame[frame_id]
         path = self._files[frame_id]
         found = self._contents(path)
         if isinstance(found, CameraTable):
@@ -169,7 +174,39 @@ class FrameCameras:
     def distorted(self) -> GivenCamera | None:
         """Return the first frame's camera, if its images are distorted, None if not."""
         try:
-            first = self._camera or self.of(next(iter(self._files or self._by_folder)))
+            first = self._camera or self.of(next(iter(self._files or self._by_frame)))
         except (CameraError, StopIteration):
             return None
         return first if first.distortion is not None else None
+
+
+def cameras_of_table(
+    source: CameraSource, matched: Matched
+) -> tuple[dict[str, GivenCamera], dict[str, str]]:
+    """Return the camera of each frame by the numbers that code knows, and of which there is none.
+
+    Returns
+    -------
+    cameras : dict of frame id to GivenCamera
+    lacking : dict of frame id to whole message
+
+    Raises
+    ------
+    CameraError
+        A number cannot be.
+    """
+    table, where = source.table or {}, str(source.table_file)
+    made = {
+        value: camera_from_document(numbers, where, source)
+        for value, numbers in table.items()
+        if not isinstance(numbers, str)
+    }
+    cameras, lacking = {}, {}
+    for i in matched.ids:
+        value = matched.captured[i].get(source.by, "")
+        if value in made:
+            cameras[i] = made[value]
+        else:
+            found = table.get(value, f"none of {value!r}")
+            lacking[i] = f"{where}: expected the camera of frame {i!r}, found {found}"
+    return cameras, lacking
