@@ -14,6 +14,7 @@ import scipy.io
 import nimprep
 from nimprep.cli import main
 from nimprep.errors import DecodeError, LayoutError, OptionError
+from nimprep.export import export_frames
 from nimprep.inspection.inspection import inspect_source
 from nimprep.readers import ReaderOptions, open_reader
 from nimprep.readers.recognition import recognised
@@ -110,6 +111,20 @@ def test_train_ids_are_the_classes_from_0(tmp_path: Path) -> None:
             one, other = plain.read(frame_id).label, counted.read(frame_id).label
             assert one is not None
             np.testing.assert_array_equal(other, np.where(one == 255, 255, one - 1))
+
+
+def test_train_ids_are_exported_as_the_networks_have_the_classes(tmp_path: Path) -> None:
+    root = write_folders(tmp_path / "nyu")
+    store = nimprep.convert(root, tmp_path / "o.zarr", label_set="train-ids")
+    with pytest.warns(UserWarning, match="8 bits"):
+        export_frames(store, tmp_path / "out", "rgbx")
+    for frame_id in store.ids:
+        split, name = frame_id.split("/")
+        raw = cv2.imread(str(root / split / "semantic_40" / f"{name}.png"), cv2.IMREAD_UNCHANGED)
+        path = tmp_path / "out" / "Label" / f"{split}%2F{name}.png"
+        np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), raw)
+    names = (tmp_path / "out" / "classes.txt").read_text().split("\n")
+    assert len([name for name in names if name]) == 40
 
 
 def test_folders_are_read_with_depth_in_millimetres(tmp_path: Path) -> None:
@@ -223,6 +238,11 @@ def test_depth_of_dformer_is_refused_by_name(tmp_path: Path) -> None:
             open_reader(root, ReaderOptions(reader=reader))
         assert "\n" not in str(told.value)
     assert any("DFormer" in note for note in inspect_source(root).notes)
+    # With its lists or without.
+    for path in sorted(root.glob("*.txt")):
+        path.unlink()
+    with pytest.raises(LayoutError, match=said):
+        open_reader(root)
     # Of 16 bits it is somebody's own.
     with pytest.raises(LayoutError, match="expected a known layout") as told:
         open_reader(write_dformer(tmp_path / "own", bits=16))
