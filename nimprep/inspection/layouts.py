@@ -47,8 +47,7 @@ def description_of(name: ReaderName, root: Path) -> dict[str, Any] | None:
     layout, listings = READERS[name], Listings()
     root = root.parent if root.is_file() else root
     place = place_of(layout, root, listings) or root
-    # What code reads, a description does not say all of.
-    if layout.dataset is None or "code" in layout.dataset.found(place, listings).document:
+    if layout.dataset is None or not layout.dataset.found(place, listings).described:
         return None
     return description_in(layout.dataset, root, place)
 

@@ -41,10 +41,11 @@ def recognised(root: Path) -> Recognised:
     if found is not None:
         return found
     marked = [n for n, each in READERS.items() if any((root / m).is_dir() for m in each.marks)]
-    # rgb/ alone may be that of a scene, in a dataset of many.
-    if marked and dataset_above(root, lambda folder: _is_one(folder, listings)) is None:
-        return Recognised(marked[0], root)
-    if (told := refusal(root, listings)) is not None:
+    told = refusal(root, listings)
+    # rgb/ alone may be that of a scene, in a dataset of many. To look is not free.
+    if (marked or told) and dataset_above(root, lambda each: _is_one(each, listings)) is None:
+        if marked:
+            return Recognised(marked[0], root)
         raise LayoutError(told)
     entries = sorted(p.name for p in root.iterdir())[:5]
     there = ", ".join(entries) if entries else "an empty folder"
@@ -85,7 +86,9 @@ def refusal(root: Path, listings: Listings, reader: ReaderName | None = None) ->
 
 def _has_8_bits(file: str | None) -> bool:
     try:
-        return file is not None and read_header(Path(file)).bits == 8
+        # Colours may be a number's bytes, as CARLA has them.
+        header = None if file is None else read_header(Path(file))
+        return header is not None and (header.bits, header.channels) == (8, 1)
     except DecodeError:
         return False
 

@@ -229,6 +229,8 @@ def test_scans_without_depth_images_are_said_to_be_left_out(tmp_path: Path) -> N
 
 def test_a_mask_of_valid_depth_becomes_its_confidence(tmp_path: Path) -> None:
     scenes.diode(tmp_path)
+    # By its own folders it is known by name.
+    (tmp_path / "train").rename(tmp_path / "mine")
     found = inspect_source(tmp_path).description
     assert found is not None
     assert found["depth"]["confidence"]["files"].endswith("{id}_depth_mask.npy")

@@ -59,6 +59,11 @@ class Dataset:
         return self.document.get("file")
 
     @property
+    def described(self) -> bool:
+        """Whether its description says all of it, without its code."""
+        return bool(self.document.get("described", True))
+
+    @property
     def refused(self) -> Sequence[Mapping[str, Any]]:
         """Folders that look like it and cannot be read."""
         refused: Sequence[Mapping[str, Any]] = self.document.get("refused", ())
