@@ -12,7 +12,7 @@ import pytest
 from click.testing import Result
 
 from nimprep.report.server import ViewServer
-from tests.cli.world import CALLS, EVERY, READ, Call, commands, make_world, run
+from tests.cli.world import CALLS, EVERY, READ, RUN, Call, commands, make_world, run
 from tests.export.test_places import files_of_at_most
 
 Snapshot = dict[str, tuple[int, bytes]]
@@ -87,8 +87,8 @@ def test_a_command_changes_what_it_was_asked_to_alone(world: Path, call: Call) -
 
 
 def stores_and_sources(world: Path, call: Call) -> list[Path]:
-    """Return the stores of a world, and the folders that a call reads."""
-    read = [world / a for a in call.arguments if isinstance(a, Path)]
+    """Return the stores of a world, and the folders that a call reads, but a run's."""
+    read = [world / a for a in call.arguments if isinstance(a, Path) and a != RUN]
     folders = [path for path in read if path.is_dir()]
     return [world / "s.zarr", world / "t.zarr", *folders]
 

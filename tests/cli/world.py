@@ -18,6 +18,7 @@ import nimprep
 from nimprep.cli import main
 from tests.fakes import SIZE, depth_image, write_png
 from tests.kitti.scenes import HEIGHT, WIDTH, noise, road_folder
+from tests.training.runs import make_run
 
 CLASSES = ("other", "road")
 COLOURS = [[0, 0, 0], [0, 200, 0]]
@@ -26,6 +27,7 @@ COLOURS = [[0, 0, 0], [0, 200, 0]]
 READ = {
     *("src", "store", "stores", "predictions", "gt", "images"),
     *("calib", "description", "camera", "import_file", "split_file", "lists"),
+    *("run", "config", "weights"),
 }
 """Parameters that name what is read alone."""
 
@@ -59,6 +61,8 @@ class Call:
 
 
 S, RAW, NEW = Path("s.zarr"), Path("raw"), Path("new")
+LARGE, RUN = Path("large.zarr"), Path("run")
+TRAIN = ("--network", "espnet", "--setup", "rgb", "--width", "0.06", "--epochs", "1")
 DESCRIBED = ("--description", Path("raw.json"))
 EVALUATE = ("evaluate", S, Path("predictions"))
 MAPS, TRUTH, IMAGES, CALIB = (
@@ -96,6 +100,8 @@ CALLS = {
         Call(("export", S, NEW, "--format", "coco"), "folder"),
         Call(("export", S, NEW, "--format", "rerun"), "file"),
     ],
+    "train": [Call(("train", LARGE, *TRAIN, "--out", NEW), "folder")],
+    "predict": [Call(("predict", LARGE, RUN, "--split", "all", "--out", NEW), "folder")],
     "report": [Call(("report", S, NEW), "file")],
     "view": [Call(("view", S, "--port", "0"))],
     "synth": [Call(("synth", NEW, "--frames", "1", "--size", "32x24"), "folder")],
@@ -127,7 +133,7 @@ def run(arguments: list[str]) -> Result:
 
 
 def make_world(root: Path, classes: tuple[str, ...] = CLASSES, dataset: str = "world") -> Path:
-    """Make the folder: datasets raw and more, stores of each, predictions, a KITTI road folder.
+    """Make the folder: datasets, a store of each, a trained network, predictions, a KITTI folder.
 
     Parameters
     ----------
@@ -147,11 +153,12 @@ def make_world(root: Path, classes: tuple[str, ...] = CLASSES, dataset: str = "w
     }
     root.mkdir(parents=True, exist_ok=True)
     (root / "raw.json").write_text(json.dumps(description))
-    for name, scene in (("raw", "a"), ("more", "b")):
-        _write_frames(root / name, scene)
     options = {"description": root / "raw.json", "shard_length": 2, "split_by": "frame"}
-    nimprep.convert(root / "raw", root / "s.zarr", **options)
-    nimprep.convert(root / "more", root / "t.zarr", **options)
+    sets = (("raw", "s", "a", SIZE), ("more", "t", "b", SIZE), ("large", "large", "c", (64, 72)))
+    for name, store, scene, size in sets:
+        _write_frames(root / name, scene, size)
+        nimprep.convert(root / name, root / f"{store}.zarr", **options)
+    make_run(root / LARGE, root / RUN, "espnet", "rgb")
     for folder in ("predictions", "others"):
         for number in range(3):
             guess = np.full(SIZE, number % 2, np.uint8)
@@ -163,12 +170,12 @@ def make_world(root: Path, classes: tuple[str, ...] = CLASSES, dataset: str = "w
     return root
 
 
-def _write_frames(folder: Path, scene: str) -> None:
+def _write_frames(folder: Path, scene: str, size: tuple[int, int]) -> None:
     for number in range(3):
         rng = np.random.default_rng(number)
         name = f"{scene}/{number}.png"
-        write_png(folder / "rgb" / name, rng.integers(0, 256, (*SIZE, 3), dtype=np.uint8))
-        write_png(folder / "depth" / name, depth_image(number))
-        label = np.zeros(SIZE, np.uint8)
-        label[SIZE[0] // 2 :] = 1
+        write_png(folder / "rgb" / name, rng.integers(0, 256, (*size, 3), dtype=np.uint8))
+        write_png(folder / "depth" / name, depth_image(number, size))
+        label = np.zeros(size, np.uint8)
+        label[size[0] // 2 :] = 1
         write_png(folder / "label" / name, label)
