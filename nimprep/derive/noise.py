@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from nimprep.derive.window_noise import sigma_in_windows
+from nimprep.derive.window_noise import WHOLE, sigma_in_windows
 from nimprep.kernels.inverse_depth_noise import SAMPLES, second_differences
 
 LAGS = (1, 2, 4, 8, 16, 32)
@@ -52,12 +52,16 @@ class DepthNoise:
         Distance in pixels from which on errors are independent, at least 1.
     relative : float
         Median over the image of the standard deviation of r by r.
+    flat : float
+        Where most of the image is no plane: the standard deviation of r where it is one, 1/m, as
+        far as `sigma` has more of it. 0 = most of it is planes.
     """
 
     sigma: float
     power: int
     length: float
     relative: float
+    flat: float = 0.0
 
 
 NO_NOISE = DepthNoise(0.0, 0, 1.0, 0.0)
@@ -89,8 +93,7 @@ def estimate_noise(depth_m: npt.NDArray[np.float32], least: float = 0.0) -> Dept
         Smallest `relative` that matters: less is returned as no noise at all.
     """
     bends = _bends(depth_m)
-    medians = [one.relative for one in bends]
-    level = [after < _LEVEL * before for before, after in itertools.pairwise(medians)]
+    level = _levels(bends)
     if True not in level:
         return _in_windows(depth_m, bends, least)
     last = len(level) - 1 - level[::-1].index(True)
@@ -99,7 +102,7 @@ def estimate_noise(depth_m: npt.NDArray[np.float32], least: float = 0.0) -> Dept
         first -= 1
     full = bends[first + 1]
     relative = full.relative / _MEDIAN_OF_BEND
-    if relative <= least or full.relative > _SMOOTHEST * medians[0]:
+    if relative <= least or full.relative > _SMOOTHEST * bends[0].relative:
         return NO_NOISE
     sigma, power = _law(full)
     length = _length(bends[: first + 2], _APART * full.relative)
@@ -109,20 +112,27 @@ def estimate_noise(depth_m: npt.NDArray[np.float32], least: float = 0.0) -> Dept
 def _in_windows(depth_m: npt.NDArray[np.float32], bends: list[_Bends], least: float) -> DepthNoise:
     """Return the noise that windows tell of, at every distance alike."""
     sigma = sigma_in_windows(depth_m) if bends else 0.0
-    noise = _of_sigma(bends, sigma) if sigma > 0 else NO_NOISE
+    noise = _of_sigma(bends, sigma, sigma / WHOLE) if sigma > 0 else NO_NOISE
     return noise if noise.relative > least else NO_NOISE
 
 
 def noise_of_sigma(depth_m: npt.NDArray[np.float32], sigma: float) -> DepthNoise:
     """Return the noise of one standard deviation of inverse depth, 1/m, at every distance."""
     bends = _bends(depth_m) if sigma > 0 else []
-    return _of_sigma(bends, sigma) if bends else NO_NOISE
+    if not bends:
+        return NO_NOISE
+    return _of_sigma(bends, sigma, 0.0 if True in _levels(bends) else sigma)
 
 
-def _of_sigma(bends: list[_Bends], sigma: float) -> DepthNoise:
+def _levels(bends: list[_Bends]) -> list[bool]:
+    """Return from which lags to their doubles second differences do not grow."""
+    return [after.relative < _LEVEL * before.relative for before, after in itertools.pairwise(bends)]
+
+
+def _of_sigma(bends: list[_Bends], sigma: float, flat: float) -> DepthNoise:
     relative = sigma * float(np.median(1 / bends[0].inverse))
     reached = relative * _MEDIAN_OF_BEND * _APART
-    return DepthNoise(sigma, 0, _length(bends, reached), relative)
+    return DepthNoise(sigma, 0, _length(bends, reached), relative, flat)
 
 
 def _bends(depth_m: npt.NDArray[np.float32]) -> list[_Bends]:

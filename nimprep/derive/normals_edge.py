@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,13 @@ from nimprep.camera import Camera
 from nimprep.derive.noise import DepthNoise, estimate_noise, noise_of_sigma
 from nimprep.kernels.normals_cells import REACH, cell_centres, cell_means, cell_planes
 from nimprep.kernels.normals_edge import edge_rows
+from nimprep.kernels.normals_fine_cells import (
+    AROUND,
+    fine_planes,
+    keep_level,
+    merged_means,
+    slope_misses,
+)
 from nimprep.parallel import run_blocks, run_rows
 
 SIDES = (8, 16)
@@ -48,12 +55,16 @@ class Smoothing:
         Of scaled inverse depth r: variance + quartic * r**4.
     averaging : float
         The variance of a cell's mean by that of a pixel.
+    apart : float
+        Where cells are to be quartered if the place asks for it: the variance of a quarter's mean
+        where the image is flat, by that of a pixel; 0 = they are not.
     """
 
     side: int
     variance: float
     quartic: float
     averaging: float
+    apart: float = 0.0
 
     @property
     def noise(self) -> tuple[np.float32, np.float32, np.float32]:
@@ -74,10 +85,10 @@ def edge_normals(
     """
     scale = depth_scale(depth_m)
     smoothing = choose_smoothing(depth_m, camera, sigma, float(scale))
-    side, noise = smoothing.side, smoothing.noise
-    planes = np.empty((4, 0, 0), np.float32)
-    if side > 0:
+    noise, planes = smoothing.noise, np.empty((4, 0, 0), np.float32)
+    if smoothing.side > 0:
         planes = cells_planes(depth_m, camera, scale, smoothing, num_threads)
+    side = smoothing.side // 2 if smoothing.apart > 0 else smoothing.side
     intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
 
     def rows(start: int, stop: int) -> None:
@@ -108,9 +119,12 @@ def choose_smoothing(
         return Smoothing(0, 0.0, 0.0, 1.0)
     side = _side(noise, focal)
     averaging = min(1.0, (noise.length / side) ** 2)
+    # Smaller ones than the smallest gain nothing.
+    quartered = noise.flat > 0 and side > min(SIDES)
+    apart = (noise.flat / noise.sigma * noise.length / (side // 2)) ** 2 if quartered else 0.0
     if noise.power == 0:
-        return Smoothing(side, _squared(noise.sigma / scale), 0.0, averaging)
-    return Smoothing(side, 0.0, _squared(noise.sigma * scale), averaging)
+        return Smoothing(side, _squared(noise.sigma / scale), 0.0, averaging, apart)
+    return Smoothing(side, 0.0, _squared(noise.sigma * scale), averaging, apart)
 
 
 def _squared(number: float) -> float:
@@ -137,11 +151,10 @@ def cells_planes(
     smoothing: Smoothing,
     num_threads: int | None,
 ) -> Image:
-    """Return the planes of all cells, (4, rows, columns), as `edge_rows` takes them."""
+    """Return the planes of all cells, (4, rows, columns), or of their quarters, for `edge_rows`."""
     side, noise = smoothing.side, smoothing.noise
     rows, columns = (-(-size // side) for size in depth_m.shape)
-    means = np.zeros((4, rows + 2 * REACH, columns + 2 * REACH), np.float32)
-    centres = np.zeros((3, *means.shape[1:]), np.float32)
+    means, centres = _padded(4, rows, columns), _padded(3, rows, columns)
     planes = np.empty((4, rows, columns), np.float32)
     centre = np.float32(camera.cx), np.float32(camera.cy)
     step = _BLOCK_ROWS // side
@@ -152,9 +165,45 @@ def cells_planes(
 
         run_blocks(block, -(-rows // step), num_threads)
 
-    each(lambda start, stop: cell_means(depth_m, start, stop, side, scale, means))
-    each(lambda start, stop: cell_centres(means, start, stop, side, *noise, centres))
-    each(
-        lambda start, stop: cell_planes(means, centres, start, stop, side, *centre, *noise, planes)
-    )
+    if smoothing.apart > 0:
+        half = side // 2
+        quarters = _padded(4, 2 * rows, 2 * columns)
+        each(lambda a, b: cell_means(depth_m, 2 * a, 2 * b, half, scale, quarters))
+        each(lambda a, b: merged_means(quarters, a, b, half, means))
+    else:
+        each(lambda a, b: cell_means(depth_m, a, b, side, scale, means))
+    each(lambda a, b: cell_centres(means, a, b, side, *noise, centres))
+    each(lambda a, b: cell_planes(means, centres, a, b, side, *centre, *noise, planes))
+    if smoothing.apart > 0:
+        return _quarters_planes(quarters, planes, centre, smoothing, each)
     return planes
+
+
+def _quarters_planes(
+    means: Image,
+    coarse: Image,
+    centre: tuple[np.float32, np.float32],
+    smoothing: Smoothing,
+    each: Callable[[Callable[[int, int], None]], None],
+) -> Image:
+    """Return the planes of cells' quarters: their own, or where that is as good the cell's."""
+    side, apart = smoothing.side // 2, np.float32(smoothing.apart)
+    averaging = min(1.0, 4 * smoothing.averaging)
+    noise = replace(smoothing, averaging=averaging).noise
+    rows, columns = 2 * coarse.shape[1], 2 * coarse.shape[2]
+    centres, planes = _padded(3, rows, columns), np.empty((4, rows, columns), np.float32)
+    odd = np.zeros((4, rows + 2, columns + 2), np.float32)
+    misses = np.zeros((2, rows + 2 * AROUND, columns + 2 * AROUND), np.float32)
+
+    def fit(a: int, b: int) -> None:
+        fine_planes(means, centres, coarse, a, b, side, *centre, *noise, apart, planes, odd)
+
+    each(lambda a, b: cell_centres(means, 2 * a, 2 * b, side, *noise, centres))
+    each(lambda a, b: fit(2 * a, 2 * b))
+    each(lambda a, b: slope_misses(odd, 2 * a, 2 * b, misses))
+    each(lambda a, b: keep_level(misses, coarse, 2 * a, 2 * b, planes))
+    return planes
+
+
+def _padded(channels: int, rows: int, columns: int) -> Image:
+    return np.zeros((channels, rows + 2 * REACH, columns + 2 * REACH), np.float32)

@@ -32,7 +32,7 @@ _MOST_GROWTH = 2.7
 
 # What the flattest fifth leaves is less than what the image has: by trial on stereo frames of
 # GMRP and KITTI, where the normals of roads are best with 1.4 times as much.
-_WHOLE = 1.4
+WHOLE = 1.4
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def sigma_in_windows(depth_m: npt.NDArray[np.float32]) -> float:
     small = _windows(depth_m, centres, _HALF // 2)
     if small.count == 0 or large.plane > _MOST_GROWTH * small.plane:
         return 0.0
-    return _WHOLE * large.plane
+    return WHOLE * large.plane
 
 
 def _windows(

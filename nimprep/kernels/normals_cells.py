@@ -104,7 +104,7 @@ def cell_means(
 
 
 @kernel(fastmath=FASTMATH, inline=True)
-def _variance_of_mean(r: np.float32, noise: Noise) -> np.float32:
+def variance_of_mean(r: np.float32, noise: Noise) -> np.float32:
     """Return the variance of a cell's mean; rounding does not average out."""
     return noise[2] * noise_floor(r, noise[0], noise[1]) + ROUNDING2 * (r * r) + TINY
 
@@ -119,7 +119,7 @@ def _centre_row(means: Image, row: int, per_side: np.float32, noise: Noise, out:
     under, under2 = means[3, row + 1, 2:-2], means[3, row + 2, 2:-2]
     for i in range(middle.size):
         c = middle[i]
-        floor = _variance_of_mean(c, noise)
+        floor = variance_of_mean(c, noise)
         u, _ = axis_gradient(left2[i], left1[i], c, right1[i], right2[i], floor)
         v, _ = axis_gradient(over2[i], over[i], c, under[i], under2[i], floor)
         u = u if c > ZERO else ZERO
@@ -154,7 +154,7 @@ def cell_centres(
 
 
 @kernel(fastmath=FASTMATH, inline=True)
-def _tap(
+def tap(
     share: np.float32,
     r: np.float32,
     expected: np.float32,
@@ -183,13 +183,13 @@ def _taps(
     """Return the sums over the 7 cells of one row around the i-th."""
     share, r = row * STRIDE + i, (row + INVERSE) * STRIDE + i
     sums = (ZERO, ZERO, ZERO, ZERO, ZERO)
-    sums = _tap(work[share], work[r], middle - THREE * g, per_variance, -THREE, sums)
-    sums = _tap(work[share + 1], work[r + 1], middle - TWO * g, per_variance, -TWO, sums)
-    sums = _tap(work[share + 2], work[r + 2], middle - g, per_variance, -ONE, sums)
-    sums = _tap(work[share + 3], work[r + 3], middle, per_variance, ZERO, sums)
-    sums = _tap(work[share + 4], work[r + 4], middle + g, per_variance, ONE, sums)
-    sums = _tap(work[share + 5], work[r + 5], middle + TWO * g, per_variance, TWO, sums)
-    return _tap(work[share + 6], work[r + 6], middle + THREE * g, per_variance, THREE, sums)
+    sums = tap(work[share], work[r], middle - THREE * g, per_variance, -THREE, sums)
+    sums = tap(work[share + 1], work[r + 1], middle - TWO * g, per_variance, -TWO, sums)
+    sums = tap(work[share + 2], work[r + 2], middle - g, per_variance, -ONE, sums)
+    sums = tap(work[share + 3], work[r + 3], middle, per_variance, ZERO, sums)
+    sums = tap(work[share + 4], work[r + 4], middle + g, per_variance, ONE, sums)
+    sums = tap(work[share + 5], work[r + 5], middle + TWO * g, per_variance, TWO, sums)
+    return tap(work[share + 6], work[r + 6], middle + THREE * g, per_variance, THREE, sums)
 
 
 @kernel(fastmath=FASTMATH, inline=True)
@@ -204,7 +204,7 @@ def _fit(work: Row, count: int, noise: Noise) -> None:
         g = work[(PLANE + 1) * STRIDE + i]
         h = work[(PLANE + 2) * STRIDE + i]
         own = work[(INVERSE + REACH) * STRIDE + REACH + i]
-        per = ONE / (WITHIN2 * _variance_of_mean(own, noise))
+        per = ONE / (WITHIN2 * variance_of_mean(own, noise))
         t0 = _taps(work, 0, i, c - THREE * h, g, per)
         t1 = _taps(work, 1, i, c - TWO * h, g, per)
         t2 = _taps(work, 2, i, c - h, g, per)
@@ -255,7 +255,7 @@ def _write_planes(
         known = work[REACH * STRIDE + REACH + i] > ZERO
         own = work[(INVERSE + REACH) * STRIDE + REACH + i]
         per2 = ONE / (weight * weight)
-        fit = SLOPE * _variance_of_mean(own, noise) / (size * size)
+        fit = SLOPE * variance_of_mean(own, noise) / (size * size)
         energy = per2 * (fit + FEW * per2 * noise_floor(own, noise[0], noise[1]))
         out[0, row, start + i] = work[PLANE * STRIDE + i] - g_u * x - g_v * y
         out[1, row, start + i] = g_u
