@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from nimprep.derive.percentile import median
 from nimprep.derive.window_noise import WHOLE, sigma_in_windows
 from nimprep.kernels.inverse_depth_noise import SAMPLES, second_differences
 
@@ -126,11 +127,13 @@ def noise_of_sigma(depth_m: npt.NDArray[np.float32], sigma: float) -> DepthNoise
 
 def _levels(bends: list[_Bends]) -> list[bool]:
     """Return from which lags to their doubles second differences do not grow."""
-    return [after.relative < _LEVEL * before.relative for before, after in itertools.pairwise(bends)]
+    return [
+        after.relative < _LEVEL * before.relative for before, after in itertools.pairwise(bends)
+    ]
 
 
 def _of_sigma(bends: list[_Bends], sigma: float, flat: float) -> DepthNoise:
-    relative = sigma * float(np.median(1 / bends[0].inverse))
+    relative = sigma * median(1 / bends[0].inverse)
     reached = relative * _MEDIAN_OF_BEND * _APART
     return DepthNoise(sigma, 0, _length(bends, reached), relative, flat)
 
@@ -150,15 +153,15 @@ def _bends(depth_m: npt.NDArray[np.float32]) -> list[_Bends]:
 
 def _law(bends: _Bends) -> tuple[float, int]:
     """Return sigma and power that describe second differences of independent errors."""
-    middle = np.median(bends.inverse)
+    middle = median(bends.inverse)
     far, near = bends.inverse < middle, bends.inverse >= middle
     if far.any():
-        apart = np.median(bends.inverse[near]) / np.median(bends.inverse[far])
-        low, high = np.median(bends.bend[far]), np.median(bends.bend[near])
+        apart = median(bends.inverse[near]) / median(bends.inverse[far])
+        low, high = median(bends.bend[far]), median(bends.bend[near])
         # Nearer to apart**2 than to 1.
         if apart > _HALVES_APART and high > low * apart:
-            return float(np.median(bends.bend / bends.inverse**2)) / _MEDIAN_OF_BEND, 2
-    return float(np.median(bends.bend)) / _MEDIAN_OF_BEND, 0
+            return median(bends.bend / bends.inverse**2) / _MEDIAN_OF_BEND, 2
+    return median(bends.bend) / _MEDIAN_OF_BEND, 0
 
 
 def _length(bends: list[_Bends], reached: float) -> float:

@@ -122,18 +122,33 @@ def _checked_out(out: Any, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.flo
 def make_normals(given: Given) -> Made:
     """Estimate a frame's normals by the recipe's method."""
     recipe = given.recipe
-    normals = estimate_normals(
-        given.depth_m,
-        given.frame.camera,
-        method=recipe.normals,
-        sign_filter=recipe.sign_filter,
-        num_threads=1,
-        noise=recipe.noise,
-    )
+    if recipe.whole_cells:
+        normals = _normals_of_whole_cells(given)
+    else:
+        normals = estimate_normals(
+            given.depth_m,
+            given.frame.camera,
+            method=recipe.normals,
+            sign_filter=recipe.sign_filter,
+            num_threads=1,
+            noise=recipe.noise,
+        )
     if recipe.lone_normals:
         alone = (given.depth_m > 0) & ~normals.any(axis=-1)
         normals[alone] = (0, 0, -1)
     return Made(normals)
+
+
+def _normals_of_whole_cells(given: Given) -> npt.NDArray[np.float32]:
+    """Estimate nim-edge's normals as versions did that knew no quarters of cells."""
+    from nimprep.derive.normals_edge import edge_normals
+
+    camera = given.frame.camera
+    depth = checked_depth(given.depth_m, camera)
+    normals = np.empty((*depth.shape, 3), np.float32)
+    flat = normals.reshape(len(depth), -1)
+    edge_normals(depth, camera, given.recipe.noise, 1, flat, quartered=False)
+    return normals
 
 
 def describe_normals(recipe: Recipe) -> dict[str, Any]:
@@ -141,6 +156,8 @@ def describe_normals(recipe: Recipe) -> dict[str, Any]:
     options: dict[str, Any] = {"sign_filter": recipe.sign_filter}
     if recipe.normals == "nim-edge":
         options = {"noise": "estimated" if recipe.noise is None else recipe.noise}
+        if not recipe.whole_cells:
+            options["cells"] = "quartered"
     if not recipe.lone_normals:
         options["lone"] = "none"
     return {"method": recipe.normals, "parameters": {**options, "fill": recipe.fill}}

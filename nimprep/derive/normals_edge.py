@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from nimprep.camera import Camera
 from nimprep.derive.noise import DepthNoise, estimate_noise, noise_of_sigma
+from nimprep.derive.percentile import median
 from nimprep.kernels.normals_cells import REACH, cell_centres, cell_means, cell_planes
 from nimprep.kernels.normals_edge import edge_rows
 from nimprep.kernels.normals_fine_cells import (
@@ -74,7 +75,12 @@ class Smoothing:
 
 
 def edge_normals(
-    depth_m: Image, camera: Camera, sigma: float | None, num_threads: int | None, out: Image
+    depth_m: Image,
+    camera: Camera,
+    sigma: float | None,
+    num_threads: int | None,
+    out: Image,
+    quartered: bool = True,
 ) -> None:
     """Write edge-aware normals of checked depth into (H, 3 W) `out`.
 
@@ -82,9 +88,13 @@ def edge_normals(
     ----------
     sigma : float, optional
         Standard deviation of inverse depth, 1/m; None = estimated.
+    quartered : bool
+        Whether cells may be quartered; not so in versions before it was tried.
     """
     scale = depth_scale(depth_m)
     smoothing = choose_smoothing(depth_m, camera, sigma, float(scale))
+    if not quartered:
+        smoothing = replace(smoothing, apart=0.0)
     noise, planes = smoothing.noise, np.empty((4, 0, 0), np.float32)
     if smoothing.side > 0:
         planes = cells_planes(depth_m, camera, scale, smoothing, num_threads)
@@ -103,7 +113,7 @@ def depth_scale(depth_m: Image) -> np.float32:
     sample = depth_m[:: max(height // 32, 1), :: max(width // 32, 1)]
     some = sample[sample > 0]
     # In float64: the mean of two in the middle may leave float32.
-    middle = float(np.median(some.astype(np.float64))) if some.size else float(depth_m.max())
+    middle = median(some.astype(np.float64)) if some.size else float(depth_m.max())
     exponent = math.frexp(middle)[1]
     return np.float32(2.0 ** -min(max(exponent, -126), 126))
 

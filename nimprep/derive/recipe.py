@@ -77,10 +77,14 @@ class Recipe(RecipeOptions):
     lone_normals : bool
         Whether pixels without a neighbour, where nothing is measured, have normals that face the
         camera: so in stores that earlier versions made.
+    whole_cells : bool
+        Whether "nim-edge" smooths over whole cells everywhere: so in stores that earlier versions
+        made.
     """
 
     virtual_baseline_m: float = VIRTUAL_BASELINE_M
     lone_normals: bool = False
+    whole_cells: bool = False
 
     @property
     def ground(self) -> Ground:
@@ -132,6 +136,8 @@ def recipe_from(modalities: Mapping[str, Any]) -> Recipe:
         ),
         noise=None if noise == "estimated" else _number("noise", noise),
         lone_normals="normal" in modalities and normal["parameters"].get("lone") != "none",
+        whole_cells=normal["method"] == "nim-edge"
+        and normal["parameters"].get("cells") != "quartered",
     )
 
 

@@ -28,7 +28,6 @@ from nimprep.kernels.normals_cells import (
     BLOCK,
     FEW,
     INVERSE,
-    PLANE,
     REACH,
     RIDGE,
     SLOPE,
@@ -43,6 +42,9 @@ AROUND = 2
 """How many quarters to each side the squared difference of slopes is averaged over."""
 
 ROUNDS = 2
+
+# Where, in strides, the gradients and energies of the cells' planes begin, and what is compared.
+CELL, ODD = 4, 7
 
 # A slope's variance goes with the fourth power of the width it is fitted over: 3 quarters, and 5
 # once slopes of 3 x 3 are averaged.
@@ -81,20 +83,21 @@ def _taps(
     work: Row, row: int, i: int, middle: np.float32, g: np.float32, per_variance: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Return the sums over the 3 cells of one row around the i-th."""
-    share, r = row * STRIDE + i + REACH, (row + INVERSE) * STRIDE + i + REACH
+    # From the first on: LLVM vectorises no index that it thinks may be negative.
+    share, r = row * STRIDE + REACH - 1 + i, (row + INVERSE) * STRIDE + REACH - 1 + i
     sums = (ZERO, ZERO, ZERO, ZERO, ZERO)
-    sums = tap(work[share - 1], work[r - 1], middle - g, per_variance, -ONE, sums)
-    sums = tap(work[share], work[r], middle, per_variance, ZERO, sums)
-    return tap(work[share + 1], work[r + 1], middle + g, per_variance, ONE, sums)
+    sums = tap(work[share], work[r], middle - g, per_variance, -ONE, sums)
+    sums = tap(work[share + 1], work[r + 1], middle, per_variance, ZERO, sums)
+    return tap(work[share + 2], work[r + 2], middle + g, per_variance, ONE, sums)
 
 
 @kernel(fastmath=FASTMATH, inline=True)
-def _fit(work: Row, count: int, noise: Noise) -> None:
+def _fit(work: Row, plane: Row, count: int, noise: Noise) -> None:
     """Turn and shift planes by the weighted least-squares fit to their misses, of 3 x 3 cells."""
     for i in range(count):
-        c = work[PLANE * STRIDE + i]
-        g = work[(PLANE + 1) * STRIDE + i]
-        h = work[(PLANE + 2) * STRIDE + i]
+        c = plane[i]
+        g = plane[STRIDE + i]
+        h = plane[2 * STRIDE + i]
         own = work[(INVERSE + REACH) * STRIDE + REACH + i]
         per = ONE / (WITHIN2 * variance_of_mean(own, noise))
         t0 = _taps(work, REACH - 1, i, c - h, g, per)
@@ -111,53 +114,63 @@ def _fit(work: Row, count: int, noise: Noise) -> None:
         ym = scale * (t2[3] - t0[3]) - y * miss
         per_det = ONE / (xx * yy - xy * xy)
         turn_u, turn_v = (xm * yy - ym * xy) * per_det, (ym * xx - xm * xy) * per_det
-        work[PLANE * STRIDE + i] = c + miss - turn_u * x - turn_v * y
-        work[(PLANE + 1) * STRIDE + i] = g + turn_u
-        work[(PLANE + 2) * STRIDE + i] = h + turn_v
-        work[(PLANE + 3) * STRIDE + i] = weight
+        plane[i] = c + miss - turn_u * x - turn_v * y
+        plane[STRIDE + i] = g + turn_u
+        plane[2 * STRIDE + i] = h + turn_v
+        plane[3 * STRIDE + i] = weight
+
+
+@kernel(fastmath=FASTMATH, inline=True)
+def _compare(work: Row, plane: Row, count: int, side: int, noise: Noise, apart: np.float32) -> None:
+    """Turn planes from per quarter to per pixel, and say how far from their cells' they are."""
+    per_size = ONE / np.float32(side)
+    for i in range(min(count, BLOCK)):
+        g_u = plane[STRIDE + i] * per_size
+        g_v = plane[2 * STRIDE + i] * per_size
+        weight = plane[3 * STRIDE + i]
+        own = work[(INVERSE + REACH) * STRIDE + REACH + i]
+        some = work[REACH * STRIDE + REACH + i]
+        floor = noise_floor(own, noise[0], noise[1])
+        per2 = ONE / (weight * weight)
+        variance = SLOPE * (per_size * per_size)
+        energy = per2 * (variance * variance_of_mean(own, noise) + FEW * per2 * floor)
+        plane[STRIDE + i] = g_u
+        plane[2 * STRIDE + i] = g_v
+        plane[3 * STRIDE + i] = min(energy, NO_PLANE) if some > ZERO else NO_PLANE
+        both = ONE if (some > ZERO) & (plane[(CELL + 2) * STRIDE + i] < NO_PLANE) else ZERO
+        plane[ODD * STRIDE + i] = both
+        plane[(ODD + 1) * STRIDE + i] = both * (weight * (g_u - plane[CELL * STRIDE + i]))
+        plane[(ODD + 2) * STRIDE + i] = both * (weight * (g_v - plane[(CELL + 1) * STRIDE + i]))
+        plane[(ODD + 3) * STRIDE + i] = variance * apart * (floor + TINY)
 
 
 @kernel(fastmath=FASTMATH)
 def _write(
-    work: Row,
+    plane: Row,
     row: int,
     start: int,
     count: int,
     side: int,
     cx: np.float32,
     cy: np.float32,
-    noise: Noise,
-    apart: np.float32,
-    coarse: Image,
     out: Image,
     odd: Image,
 ) -> None:
-    """Write fitted planes as `normals_cells` does, and how far from their cells' they are."""
-    size = np.float32(side)
+    """Write what was fitted and compared, the planes from the principal point."""
     y = np.float32((row + 0.5) * side - 0.5 - cy)
+    level = out[0, row, start : start + count]
     for i in range(count):
         x = np.float32((start + i + 0.5) * side - 0.5 - cx)
-        g_u = work[(PLANE + 1) * STRIDE + i] / size
-        g_v = work[(PLANE + 2) * STRIDE + i] / size
-        weight = work[(PLANE + 3) * STRIDE + i]
-        own = work[(INVERSE + REACH) * STRIDE + REACH + i]
-        known = work[REACH * STRIDE + REACH + i] > ZERO
-        per2 = ONE / (weight * weight)
-        floor = noise_floor(own, noise[0], noise[1])
-        fit = SLOPE * variance_of_mean(own, noise) / (size * size)
-        energy = per2 * (fit + FEW * per2 * floor)
-        out[0, row, start + i] = work[PLANE * STRIDE + i] - g_u * x - g_v * y
-        out[1, row, start + i] = g_u
-        out[2, row, start + i] = g_v
-        out[3, row, start + i] = min(energy, NO_PLANE) if known else NO_PLANE
-        j, k = row // 2, (start + i) // 2
-        off_u, off_v = g_u - coarse[1, j, k], g_v - coarse[2, j, k]
-        both = known & (coarse[3, j, k] < NO_PLANE)
-        at_v, at_u = row + 1, start + i + 1
-        odd[0, at_v, at_u] = ONE if both else ZERO
-        odd[1, at_v, at_u] = weight * off_u if both else ZERO
-        odd[2, at_v, at_u] = weight * off_v if both else ZERO
-        odd[3, at_v, at_u] = SLOPE * apart * (floor + TINY) / (size * size)
+        g_u, g_v = plane[STRIDE + i], plane[2 * STRIDE + i]
+        level[i] = plane[i] - g_u * x - g_v * y
+    for k in range(1, 4):
+        line = out[k, row, start : start + count]
+        for i in range(count):
+            line[i] = plane[k * STRIDE + i]
+    for k in range(4):
+        line = odd[k, row + 1, start + 1 : start + 1 + count]
+        for i in range(count):
+            line[i] = plane[(ODD + k) * STRIDE + i]
 
 
 @kernel(
@@ -203,7 +216,9 @@ def fine_planes(
     of neighbours are alike.
     """
     columns = out.shape[2]
-    work = np.zeros((PLANE + 4) * STRIDE, np.float32)
+    # The planes in an array of their own, which LLVM needs here to vectorise.
+    work = np.zeros(2 * INVERSE * STRIDE, np.float32)
+    plane = np.zeros((ODD + 4) * STRIDE, np.float32)
     noise = variance, quartic, averaging
     for row in range(row_start, row_stop):
         for start in range(0, columns, BLOCK):
@@ -214,10 +229,17 @@ def fine_planes(
                     work[(k + INVERSE) * STRIDE + i] = centres[0, row + k, start + i]
             for k in range(3):
                 for i in range(count):
-                    work[(k + PLANE) * STRIDE + i] = centres[k, row + REACH, start + REACH + i]
+                    plane[k * STRIDE + i] = centres[k, row + REACH, start + REACH + i]
+            # BLOCK is even, and so is each start.
+            for k in range(3):
+                for i in range((count + 1) // 2):
+                    value = coarse[k + 1, row // 2, start // 2 + i]
+                    plane[(k + CELL) * STRIDE + 2 * i] = value
+                    plane[(k + CELL) * STRIDE + 2 * i + 1] = value
             for _ in range(ROUNDS):
-                _fit(work, count, noise)
-            _write(work, row, start, count, side, cx, cy, noise, apart, coarse, out, odd)
+                _fit(work, plane, count, noise)
+            _compare(work, plane, count, side, noise, apart)
+            _write(plane, row, start, count, side, cx, cy, out, odd)
 
 
 @kernel(void(float32[:, :, ::1], int64, int64, float32[:, :, ::1]), fastmath=FASTMATH)

@@ -14,7 +14,9 @@ from click.testing import CliRunner
 import nimprep
 from nimprep.cli import main
 from nimprep.conversion.options import ConvertOptions
+from nimprep.derive import normals_edge
 from nimprep.derive.modalities import recipe_from
+from nimprep.derive.normals_edge import Smoothing
 from nimprep.errors import ArrayError, StoreError
 from nimprep.store.checksums import with_digest
 from nimprep.store.validate import validate_store
@@ -44,7 +46,8 @@ def test_convert_makes_edge_aware_normals_and_says_how(
     store = nimprep.open_store(tmp_path / "s.zarr")
     made = store.attributes["modalities"]["normal"]
     assert made["method"] == "nim-edge"
-    assert made["parameters"] == {"noise": noise, "lone": "none", "fill": "none"}
+    expected = {"noise": noise, "cells": "quartered", "lone": "none", "fill": "none"}
+    assert made["parameters"] == expected
     frame, given = store[1], None if noise == "estimated" else noise
     exact = nimprep.estimate_normals(frame.depth_m, frame.camera, "nim-edge", noise=given)
     assert np.abs(exact - frame.normal).max() < 0.01
@@ -186,3 +189,22 @@ def relabel(path: object, parameters: dict[str, object]) -> None:
     root["attributes"]["nimprep"]["modalities"]["normal"]["parameters"] |= parameters
     root["attributes"]["nimprep"] = with_digest(root["attributes"]["nimprep"])
     file.write_text(json.dumps(root))
+
+
+def test_a_store_of_whole_cells_is_valid_as_it_says_it_is_one(
+    raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    smoothing = Smoothing(side=16, variance=1e-4, quartic=0, averaging=0.1, apart=1e-6)
+    monkeypatch.setattr(normals_edge, "choose_smoothing", lambda *_: smoothing)
+    now = nimprep.convert(raw, tmp_path / "now.zarr", camera=CAMERA, normals="nim-edge")
+    plain = ConvertOptions.recipe.fget
+    with monkeypatch.context() as earlier:
+        whole = property(lambda self: replace(plain(self), whole_cells=True))
+        earlier.setattr(ConvertOptions, "recipe", whole)
+        store = nimprep.convert(raw, tmp_path / "s.zarr", camera=CAMERA, normals="nim-edge")
+    assert "cells" not in store.attributes["modalities"]["normal"]["parameters"]
+    assert np.abs(store[0].normal - now[0].normal).max() > 0.05
+    for one in (now, store):
+        assert validate_store(one.path, deep=True).problems == []
+    relabel(store.path, {"cells": "quartered"})
+    assert any("normal" in problem for problem in validate_store(store.path, deep=True).problems)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -10,8 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from nimprep import Camera, estimate_normals
-from nimprep.derive.normals_edge import choose_smoothing, depth_scale
+from nimprep.derive import normals_edge
+from nimprep.derive.normals_edge import Smoothing, choose_smoothing, depth_scale
 from nimprep.errors import ArrayError
+from nimprep.kitti.calibration import read_calibration
+from nimprep.kitti.depth import frame_depth
+from nimprep.kitti.images import read_ground_truth
+from nimprep.kitti.layout import list_road_files
 from nimprep.synthetic import render_frame
 from tests.derive.test_normals import (
     CAMERA,
@@ -137,6 +144,22 @@ def test_any_depth_gives_what_the_slow_twin_gives(sigma, share, scale):
     # float32 against float64; cells pass through three sums and two fits.
     assert error.max() < 0.05
     assert np.percentile(error, 99) < 0.002
+
+
+@pytest.mark.parametrize("share", [0, 0.25], ids=["whole", "holes"])
+@pytest.mark.parametrize("apart", [1e-3, 0.3, 1e3], ids=["quarters", "some", "cells"])
+def test_quarters_of_cells_give_what_the_slow_twin_gives(apart, share, monkeypatch):
+    depth = with_holes(noisy(scene(), 0.01), share)
+    multiple = depth_scale(depth)
+    smoothing = Smoothing(16, (0.01 / float(multiple)) ** 2, 0.0, 0.1, apart)
+    monkeypatch.setattr(normals_edge, "choose_smoothing", lambda *_: smoothing)
+    expected = naive.estimate_normals(depth, CAMERA, multiple, smoothing)
+    error = angle_deg(edge(depth, CAMERA), expected)[measured(depth)]
+    assert error.max() < 0.05
+    assert np.percentile(error, 99) < 0.002
+    whole = replace(smoothing, apart=0.0)
+    others = angle_deg(naive.estimate_normals(depth, CAMERA, multiple, whole), expected)
+    assert (np.median(others[measured(depth)]) > 0.2) == (apart < 1)
 
 
 def test_noise_that_grows_with_inverse_depth_gives_what_the_slow_twin_gives():
@@ -319,3 +342,51 @@ def test_depth_in_millimetres_leaves_a_tenth_of_nims_error(street):
     depth = np.round(frame.depth_exact_m * 1000) / np.float32(1000)
     own, nim = mean_errors(depth, frame.normal, camera)
     assert own < 0.15 < nim / 10
+
+
+def road_auc(normals, road, other):
+    """Return how well the angle to the road's median normal tells road from the rest."""
+    middle = np.median(normals[road], axis=0)
+    of_road, of_other = (angle_deg(normals[some], middle) for some in (road, other))
+    ranked = np.sort(of_road)
+    below, up_to = (np.searchsorted(ranked, of_other, side) for side in ("left", "right"))
+    return (below + up_to).sum() / (2 * of_road.size * of_other.size), np.median(of_road)
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [("um_000000", 0.96, 0.6), ("umm_000000", 0.955, 0.65), ("uu_000000", 0.93, 1.45)],
+)
+def test_real_stereo_tells_road_from_what_is_beside_it(reference_data, name, least, most):
+    root = reference_data / "kitti_road"
+    files = next(f for f in list_road_files(root) if (f.split, f.name) == ("training", name))
+    depth, truth = frame_depth(files, "stereo"), read_ground_truth(files.ground_truth("road"))
+    camera = read_calibration(files.calibration).camera(*depth.shape)
+    found = edge(depth, camera)
+    known = truth.evaluated & found.any(axis=-1)
+    auc, angle = road_auc(found, known & truth.positive, known & ~truth.positive)
+    assert auc > least
+    assert angle < most
+
+
+def test_a_ditch_in_a_road_keeps_slopes_that_cells_would_level(monkeypatch):
+    v, u = np.mgrid[:320, :480]
+    slope = np.where((v > 150) & (v < 190) & (u > 120) & (u < 360), -5e-4, 1e-3)
+    inverse = 0.02 + np.cumsum(slope, axis=0)
+    error = cv2.GaussianBlur(np.random.default_rng(4).normal(0, 1, v.shape), (0, 0), 2.5)
+    depth = (1 / (inverse + 6e-4 * error / error.std())).astype(np.float32)
+    camera = Camera.from_fov(60, 480, 320)
+    y = np.arange(320)[:, None] - camera.cy
+    exact = np.stack([0 * slope, -camera.fy * slope, slope * y - inverse], axis=-1)
+    scaled = (6e-4 / float(depth_scale(depth))) ** 2
+    # Errors of such a blur are alike over 3.5 times its width: 2 sqrt(pi).
+    smoothing = Smoothing(16, scaled, 0.0, (8.9 / 16) ** 2, (8.9 / 8) ** 2)
+    found = []
+    for one in (smoothing, replace(smoothing, apart=0.0)):
+        monkeypatch.setattr(normals_edge, "choose_smoothing", lambda *_, one=one: one)
+        found.append(angle_deg(edge(depth, camera), exact))
+    ditch, road = np.s_[160:180, 140:340], np.s_[220:300, 20:460]
+    own, cells = (np.median(error[ditch]) for error in found)
+    assert own < 0.65 * cells
+    own, cells = (np.median(error[road]) for error in found)
+    assert own < 1.4 * cells

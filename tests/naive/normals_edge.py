@@ -82,51 +82,120 @@ def cells_of(r, side):
 def fitted(share, centre, plane, variance):
     """Return a cell's plane (r, a, b) refitted to the cells around it, and the sum of weights.
 
-    ``share`` and ``centre`` are (7, 7); a and b are per cell.
+    ``share`` and ``centre`` are (7, 7) or (3, 3); a and b are per cell.
     """
-    y, x = np.mgrid[-3:4, -3:4]
+    reach = len(share) // 2
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     miss = centre - (plane[0] + plane[1] * x + plane[2] * y)
     off = 1 + miss**2 / (9 * variance)
     weight = share * np.vectorize(weight_of)(off**2)
-    columns = np.stack([np.ones((7, 7)), x, y], axis=-1).reshape(49, 3)
+    columns = np.stack([np.ones(x.shape), x, y], axis=-1).reshape(-1, 3)
     total = weight.sum()
     # Ridge on the slopes alone, about the weighted mean: per unit of weight.
-    mean = weight.reshape(49) @ columns / total
+    mean = weight.reshape(-1) @ columns / total
     about = columns - mean
-    normal = (about[:, 1:].T * weight.reshape(49)) @ about[:, 1:] / total + 1e-3 * np.eye(2)
-    target = (about[:, 1:].T * weight.reshape(49)) @ miss.reshape(49) / total
+    normal = (about[:, 1:].T * weight.reshape(-1)) @ about[:, 1:] / total + 1e-3 * np.eye(2)
+    target = (about[:, 1:].T * weight.reshape(-1)) @ miss.reshape(-1) / total
     turn = np.linalg.solve(normal, target)
     shift = (weight * miss).sum() / total - turn @ mean[1:]
     return (plane[0] + shift, plane[1] + turn[0], plane[2] + turn[1]), total
 
 
 def cell_planes(r, smoothing):
-    """Return a function of (v, u) of each cell's plane, and the planes' energies."""
+    """Return a dictionary of (v, u) of each cell's plane and its energy."""
     side = smoothing.side
-    share, centroid, mean = cells_of(r, side)
+    if not smoothing.apart:
+        found = planes_of(*cells_of(r, side), side, 3, smoothing.averaging, smoothing)
+        return {place: plane for place, (plane, _) in found.items()}
+    quarters = cells_of(r, side // 2)
+    coarse = planes_of(*merged(*quarters, side // 2), side, 3, smoothing.averaging, smoothing)
+    averaging = min(1, 4 * smoothing.averaging)
+    fine = planes_of(*quarters, side // 2, 1, averaging, smoothing)
+    return chosen(fine, coarse, quarters, smoothing)
+
+
+def merged(share, centroid, mean, side):
+    """Return what `cells_of` returns of cells of four, `side` pixels wide each."""
+    rows, columns = (-(-size // 2) for size in share.shape)
+    shares, means, centroids = (
+        np.zeros((rows, columns)),
+        np.zeros((rows, columns)),
+        np.zeros((rows, columns, 2)),
+    )
+    for v, u in np.ndindex(share.shape):
+        j, i = v // 2, u // 2
+        shares[j, i] += share[v, u] / 4
+        means[j, i] += share[v, u] * mean[v, u] / 4
+        offset = (np.array([u % 2, v % 2]) - 0.5) * side
+        centroids[j, i] += share[v, u] * (centroid[v, u] + offset) / 4
+    known = shares > 0.125
+    per = np.where(known, 1 / np.maximum(shares, 1e-30), 0)
+    return shares * known, centroids * per[..., None], means * per
+
+
+def chosen(fine, coarse, quarters, smoothing):
+    """Return the plane of each quarter: its own, or its cell's where the two differ by noise."""
+    side = smoothing.side // 2
+    off, misses = {}, {}
+    for (j, i), ((_, g_u, g_v, _), _) in fine.items():
+        if (j // 2, i // 2) in coarse:
+            _, a, b, _ = coarse[j // 2, i // 2][0]
+            off[j, i] = fine[j, i][1][1] * np.array([g_u - a, g_v - b])
+    for j, i in off:
+        near = [
+            off[v, u] for v in range(j - 1, j + 2) for u in range(i - 1, i + 2) if (v, u) in off
+        ]
+        variance = 12 * smoothing.apart * noise_floor(fine[j, i][1][0], smoothing) / side**2
+        mean = sum(near) / len(near)
+        misses[j, i] = min(mean @ mean / (0.6**4 * variance), 1e6)
+    planes = {}
+    rows, columns = quarters[0].shape
+    for j, i in np.ndindex(rows + rows % 2, columns + columns % 2):
+        near = [
+            misses[v, u]
+            for v in range(j - 2, j + 3)
+            for u in range(i - 2, i + 3)
+            if (v, u) in misses
+        ]
+        level = sum(near) <= 9 * len(near)
+        if (j, i) in fine and not (level and (j // 2, i // 2) in coarse):
+            planes[j, i] = fine[j, i][0]
+        elif (j // 2, i // 2) in coarse:
+            planes[j, i] = cell_in_quarter(coarse[j // 2, i // 2][0], j, i, side)
+    return planes
+
+
+def cell_in_quarter(plane, j, i, side):
+    """Return a cell's plane with its inverse depth at a quarter's centre."""
+    at, g_u, g_v, energy = plane
+    return at + ((i % 2) - 0.5) * side * g_u + ((j % 2) - 0.5) * side * g_v, g_u, g_v, energy
+
+
+def planes_of(share, centroid, mean, side, reach, averaging, smoothing):
+    """Return by (v, u) each plane with its energy, and inverse depth and sum of weights."""
 
     def variance(value):
         floor = noise_floor(value, smoothing)
-        return smoothing.averaging * floor + 1e-14 * value**2 + 1e-30
+        return averaging * floor + 1e-14 * value**2 + 1e-30
 
     g_u, g_v, _ = gradients(mean, variance)
     centre = mean - (g_u * centroid[..., 0] + g_v * centroid[..., 1]) / side
-    shares, centres = np.pad(share, 3), np.pad(centre, 3)
+    shares, centres = np.pad(share, reach), np.pad(centre, reach)
     planes = {}
     for j, i in zip(*np.nonzero(share), strict=True):
         plane = centre[j, i], g_u[j, i], g_v[j, i]
-        window = slice(j, j + 7), slice(i, i + 7)
+        window = slice(j, j + 2 * reach + 1), slice(i, i + 2 * reach + 1)
         for _ in range(2):
             plane, total = fitted(shares[window], centres[window], plane, variance(centre[j, i]))
         energy = 12 * variance(centre[j, i]) / (total * side) ** 2
         energy += 64 * noise_floor(centre[j, i], smoothing) / total**4
-        planes[j, i] = plane[0], plane[1] / side, plane[2] / side, energy
+        planes[j, i] = (plane[0], plane[1] / side, plane[2] / side, energy), (centre[j, i], total)
     return planes
 
 
 def cell_shares(planes, r, v, u, smoothing):
     """Return (g_u, g_v, weight) of the cells around a pixel."""
-    side = smoothing.side
+    side = smoothing.side // 2 if smoothing.apart else smoothing.side
     value = float(r[v, u])
     found = []
     j, i = (v - side // 2) // side, (u - side // 2) // side
