@@ -21,13 +21,13 @@ WIDTH = DEGREE + 1
 
 
 @kernel(inline=True)
-def _first(depth_m: npt.NDArray[np.float32], v0: int, u0: int, half: int, step: int) -> np.float64:
+def _first(depth_m: npt.NDArray[np.float32], v0: int, u0: int, half: int, step: int) -> float:
     """Return the inverse depth of a window's first pixel with depth; 0 = there is none."""
     for j in range(-half, half + 1, step):
         for i in range(-half, half + 1, step):
             z = depth_m[v0 + j, u0 + i]
             if z > 0:
-                return 1 / np.float64(z)
+                return 1 / float(z)
     return 0.0
 
 
