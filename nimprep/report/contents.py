@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ def describe(
         "others": [
             {"id": f"chart-other-{i}", "title": name} for i, name in enumerate(facts.pooled)
         ],
+        "references": [_reference(each) for each in info["references"]],
         "splits": _splits(store, facts),
         "classes": _classes(store, facts),
         "groups": _groups(store),
@@ -48,6 +49,18 @@ def describe(
         "step": facts.step,
         "holes": _hole_facts(store, facts),
     }
+
+
+def _reference(said: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Return whose a dataset is, a row each: what those who use the store respect and cite."""
+    names = {
+        "title": "Dataset",
+        "licence": "Licence",
+        "citation": "Cite",
+        "paper": "Paper",
+        "url": "From",
+    }
+    return [(shown, said[name]) for name, shown in names.items() if name in said]
 
 
 def _splits(store: Store, facts: Collected) -> list[dict[str, Any]]:

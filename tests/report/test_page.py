@@ -29,8 +29,18 @@ from nimprep.report.pictures import NO_VALUE, viridis
 from nimprep.report.store_page import write_report
 from nimprep.store.resplit import resplit
 from nimprep.store.spec import ArraySpec
+from tests.fakes import write_gmrp
 
-from .stores import EVIL_CLASS, EVIL_ID, HEIGHT, WIDTH, Folder, gmrp_store, mixed_store
+from .stores import (
+    EVIL_CLASS,
+    EVIL_ID,
+    HEIGHT,
+    WIDTH,
+    Folder,
+    convert,
+    gmrp_store,
+    mixed_store,
+)
 
 VOID = {"meta", "link", "img", "input", "br", "path", "circle", "rect"}
 
@@ -434,3 +444,28 @@ def test_numbers_that_tensors_cut_are_drawn_within_that_range(tmp_path: Path) ->
     assert (scale.low, scale.high, scale.unit) == (-4, 4, "m")
     assert (narrow.low, narrow.high) == pytest.approx((-0.96, 2.96), abs=0.01)
     assert narrow.unit == "pixel"
+
+
+def test_whose_a_dataset_is_stands_on_the_page(tmp_path: Path) -> None:
+    write_gmrp(tmp_path / "raw", frames=3)
+    description = {
+        "format": "nimprep-folder",
+        "version": "1.1",
+        "name": "made",
+        "rgb": "rgb/{id}.png",
+        "depth": {"files": "depth_u16/{id}.png", "scale_m": 0.001},
+        "camera": {"fx": 30, "fy": 30, "cx": 15.5, "cy": 11.5},
+        "reference": {"title": "A <b>set</b>", "licence": "CC BY & more", "url": "nowhere.org/a"},
+    }
+    (tmp_path / "d.json").write_text(json.dumps(description))
+    store = convert(tmp_path / "raw", tmp_path / "s.zarr", description=tmp_path / "d.json")
+    html = report(store, tmp_path / "page.html")
+    Checked(html)
+    rows = re.findall(r"<dt>(\w+)</dt><dd>([^<]*)</dd>", html.split('class="facts reference"')[1])
+    assert rows[:3] == [
+        ("Dataset", "A &lt;b&gt;set&lt;/b&gt;"),
+        ("Licence", "CC BY &amp; more"),
+        ("From", "nowhere.org/a"),
+    ]
+    plain = gmrp_store(tmp_path / "other", frames=3)
+    assert 'class="facts reference"' not in report(plain, tmp_path / "plain.html")
