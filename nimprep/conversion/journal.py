@@ -29,6 +29,9 @@ PLAN = "plan.json"
 
 _UNITS, _FAILED = "units", "failed.json"
 
+_LISTS = frozenset((".txt", ".lst", ".csv", ".json", ".mat"))
+"""What lists of splits are called at their ends."""
+
 _AT_ONCE = 16
 """Records read at once: over a network each takes its time, and each is of some 100 KB."""
 
@@ -51,6 +54,9 @@ def _shown(value: Any) -> str:
 def _digest(name: str, path: Path) -> str:
     files = split_files(path) if name == "split_file" else [path]
     try:
+        if name == "lists" and path.is_dir():
+            # It may be the dataset's own folder: of images, and of what is below, nothing is read.
+            files = sorted(p for p in path.iterdir() if p.suffix.lower() in _LISTS and p.is_file())
         digest = hashlib.sha256()
         for file in files:
             digest.update(file.read_bytes())

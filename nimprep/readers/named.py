@@ -292,7 +292,10 @@ def _with_lists(
     split, said = description.split, dataset.options.get("lists")
     if said is None or split is None:
         return description
-    folders = [root / each for each in said["beside"]] if given is None else [Path(given)]
+    folders = [root / each for each in said["beside"]]
+    if given is not None:
+        # One of the lists stands for its folder, in which the others are.
+        folders = [Path(given).parent if Path(given).is_file() else Path(given)]
     for folder in folders:
         there = {n: f for n, f in split.lists.items() if listings.find(folder, f) is not None}
         if there:
