@@ -21,7 +21,7 @@ from nimprep.inspection.kinds import Kind
 from nimprep.inspection.layouts import (
     description_of,
     fitting_reader,
-    is_known,
+    meant_instead,
     needs_camera,
     reader_of_names,
 )
@@ -29,7 +29,6 @@ from nimprep.inspection.survey import Survey, survey_folder
 from nimprep.readers import ReaderName
 from nimprep.readers.description_file import description_from_document
 from nimprep.readers.folder import FolderReader
-from nimprep.readers.nearby import nearby_dataset
 
 _MOST_TRIED = 20_000
 """A description of more files is not tried: pairing them all takes a reader seconds."""
@@ -176,7 +175,7 @@ def _look_at_folder(made: Inspection, survey: Survey) -> None:
     fitting = fitting_reader(survey.root, made.notes) if whole else None
     for plane in sorted_depth(found.of_kind(Kind.DEPTH, Kind.DISPARITY)):
         made.depth.append((plane, depth_encodings(found, plane)))
-    near = None if fitting else nearby_dataset(made.source, is_known)
+    near = None if fitting else meant_instead(made.source)
     if near is not None:
         made.notes.append(f"did you mean {near}?")
     if fitting:

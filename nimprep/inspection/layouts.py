@@ -9,17 +9,20 @@ from typing import Any
 from nimprep.errors import LayoutError, NimprepError
 from nimprep.readers import READERS, ReaderName, ReaderOptions, open_reader
 from nimprep.readers.named import description_in
-from nimprep.readers.recognition import known_by_files, known_file, place_of, refusal
+from nimprep.readers.nearby import nearby_dataset
+from nimprep.readers.recognition import (
+    is_meant,
+    known_by_files,
+    known_file,
+    place_of,
+    refusal,
+)
 from nimprep.readers.signs import Listings
 
 
-def is_known(folder: Path) -> bool:
-    """Return whether a folder has the files of a dataset that is known."""
-    try:
-        return known_by_files(folder, Listings(MOST_FOLDERS)) is not None
-    except LayoutError:
-        # Of several.
-        return True
+def meant_instead(root: Path) -> Path | None:
+    """Return the folder near another that is the dataset which is meant; None = there is none."""
+    return nearby_dataset(root, lambda folder: is_meant(folder, root, Listings(MOST_FOLDERS)))
 
 
 def reader_of_names(names: Iterable[str]) -> ReaderName | None:

@@ -25,6 +25,10 @@ class Layout(NamedTuple):
         Folders, any of which tells that a dataset has this layout, if it is no other.
     signs, not_signs : tuple of Sign
         Files that are there, and files that are not, where a dataset surely has this layout.
+    each : bool
+        The signs are those of one sequence: they lie in the dataset, or in one folder of it.
+    parts : tuple of str
+        Further patterns of files that such a dataset is made of, where no description says them.
     over : tuple of str
         Readers whose signs such a dataset has too.
     roots : tuple of str
@@ -41,6 +45,8 @@ class Layout(NamedTuple):
     over: tuple[str, ...] = ()
     roots: tuple[str, ...] = ("",)
     dataset: Dataset | None = None
+    each: bool = False
+    parts: tuple[str, ...] = ()
 
     def parameters(self) -> Mapping[str, Parameter]:
         """Return what it is opened with, options that this dataset has not left out."""
@@ -64,6 +70,7 @@ def _named(dataset: Dataset) -> Layout:
         over=dataset.over,
         roots=dataset.roots,
         dataset=dataset,
+        each=dataset.each,
     )
 
 
@@ -78,12 +85,14 @@ READERS: dict[ReaderName, Layout] = {
         "nimprep.readers.kitti_road:KittiRoadReader",
         ("training/image_2", "testing/image_2"),
         ("{training,testing,validation,validating}/image_2/{um,umm,uu}_*.*",),
+        parts=("{training,testing,validation,validating}/*/{um,umm,uu}_*.*",),
     ),
     "gmrp": Layout(
         "rgb/, depth_u16/ and label/ with equal file names",
         "nimprep.readers.gmrp:open_gmrp",
         ("depth_u16", "rgb"),
         ("rgb/**/*.*", "depth_u16/**/*.*"),
+        parts=("{label,depth_u8}/**/*.*",),
     ),
     **{name: _named(dataset) for name, dataset in DATASETS.items()},
     "folder": Layout(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -43,7 +44,7 @@ def recognised(root: Path) -> Recognised:
     marked = [n for n, each in READERS.items() if any((root / m).is_dir() for m in each.marks)]
     told = refusal(root, listings)
     # rgb/ alone may be that of a scene, in a dataset of many. To look is not free.
-    if (marked or told) and dataset_above(root, lambda each: _is_one(each, listings)) is None:
+    if (marked or told) and dataset_above(root, lambda f: is_meant(f, root, listings)) is None:
         if marked:
             return Recognised(marked[0], root)
         raise LayoutError(told)
@@ -99,7 +100,8 @@ def known_by_files(root: Path, listings: Listings) -> Recognised | None:
     Raises
     ------
     LayoutError
-        It has the signs of several, of which none is the special case of the others.
+        It has the signs of several, of which none is the special case of the others; or one of
+        another beside sequences.
     """
     fitting = {
         name: place
@@ -113,31 +115,94 @@ def known_by_files(root: Path, listings: Listings) -> Recognised | None:
             f"{root}: expected files of one dataset, found those of {' and '.join(left)}; say "
             f"which is meant with --reader {left[0]}"
         )
-    return Recognised(left[0], fitting[left[0]]) if left else None
+    if not left:
+        return None
+    found = Recognised(left[0], fitting[left[0]])
+    _check_sequences(found, listings)
+    return found
 
 
-def _is_one(folder: Path, listings: Listings) -> bool:
-    """Return whether a folder has the files of one dataset that is known."""
+def is_meant(folder: Path, root: Path, listings: Listings) -> bool:
+    """Return whether a folder within or above another is a dataset, of which the other is a part.
+
+    One above that merely lies there, as of another dataset beside, is not meant.
+    """
     try:
-        return known_by_files(folder, listings) is not None
+        found = known_by_files(folder, listings)
     except LayoutError:
         return False
+    return found is not None and _is_part(found, root, listings)
+
+
+def _is_part(found: Recognised, root: Path, listings: Listings) -> bool:
+    """Return whether files that a dataset is known by, or made of, lie in a folder.
+
+    A folder that is not below the dataset's is one above it: it has them.
+    """
+    top = Path(os.path.abspath(found.root))  # noqa: PTH100 - "." has no parts
+    below = Path(os.path.abspath(root))  # noqa: PTH100
+    if not below.is_relative_to(top) or below == top:
+        return True
+    parts = below.relative_to(top).parts
+    layout = READERS[found.reader]
+    if layout.each and not _has_signs(layout, top, listings):
+        return _has_signs(layout, top / parts[0], listings)
+    signs = [each for sign in layout.signs for each in ([sign] if isinstance(sign, str) else sign)]
+    signs += layout.parts
+    if layout.dataset is not None:
+        form = layout.dataset.found(top, listings)
+        kinds = ("rgb", "depth", "label", "camera")
+        signs += [probed(p) for kind in kinds if (p := form.pattern(kind)) is not None]
+    return any(listings.leads_through(str(top), sign, parts) for sign in signs)
 
 
 def place_of(layout: Layout, root: Path, listings: Listings) -> Path | None:
     """Return the folder in which a layout's signs are; None = they are not."""
     for inner in layout.roots if layout.signs else ():
         place = root / inner
-        if any(listings.has(place, sign) for sign in layout.not_signs):
-            continue
-        if all(listings.has(place, sign) for sign in layout.signs):
+        if _has_signs(layout, place, listings):
+            return place
+        if layout.each and next(_sequences(layout, place, listings), None) is not None:
             return place
     return None
 
 
+def _has_signs(layout: Layout, place: Path, listings: Listings) -> bool:
+    if any(listings.has(place, sign) for sign in layout.not_signs):
+        return False
+    return all(listings.has(place, sign) for sign in layout.signs)
+
+
+def _sequences(layout: Layout, place: Path, listings: Listings) -> Iterator[Path]:
+    """Yield the folders in a folder that have a layout's signs, each all of them."""
+    folders = (place / name for name in listings.of(str(place)).folders)
+    return (folder for folder in folders if _has_signs(layout, folder, listings))
+
+
+def _check_sequences(found: Recognised, listings: Listings) -> None:
+    """Raise `LayoutError` where other datasets lie beside the sequences that a folder is known by.
+
+    Their frames would be missing without a word.
+    """
+    layout = READERS[found.reader]
+    if not layout.each or _has_signs(layout, found.root, listings):
+        return
+    for name in listings.of(str(found.root)).folders:
+        folder = found.root / name
+        try:
+            other = known_by_files(folder, listings)
+        except LayoutError:
+            other = None
+        if other is not None and other.reader != found.reader:
+            raise LayoutError(
+                f"{found.root}: expected files of one dataset, found those of {found.reader} and, "
+                f"in {name}, of {other.reader}; give the folder of one, or --reader {found.reader}"
+            )
+
+
 def _step(root: Path, listings: Listings) -> str:
     """Return what to do about a folder that is none."""
-    near = nearby_dataset(root, lambda folder: known_by_files(folder, listings) is not None)
+    near = nearby_dataset(root, lambda folder: is_meant(folder, root, listings))
     if near is not None:
         return f"did you mean {near}?"
     lacking = sorted(_lacking(root, listings), key=lambda each: -each[0])
@@ -149,7 +214,8 @@ def _step(root: Path, listings: Listings) -> str:
 def _lacking(root: Path, listings: Listings) -> Iterator[tuple[int, str]]:
     """Yield the datasets of which a folder has some files, but not all signs: how many, and what.
 
-    Depth or labels alone, as of archives that were unpacked without colour's.
+    Depth or labels alone, as of archives that were unpacked without colour's. What colour's files
+    are, and of its other signs one must be there: depth/ alone is anybody's.
     """
     for name, layout in READERS.items():
         if layout.dataset is None:
@@ -159,7 +225,7 @@ def _lacking(root: Path, listings: Listings) -> Iterator[tuple[int, str]]:
             form = layout.dataset.found(root / inner, listings)
             patterns = [form.pattern(kind) for kind in ("depth", "label")]
             there = sum(listings.has(root / inner, probed(p)) for p in patterns if p is not None)
-            if lost and there:
+            if lost[:1] == [*layout.signs[:1]] and len(lost) == 1 and there:
                 first = lost[0] if isinstance(lost[0], str) else lost[0][0]
                 comes = layout.dataset.document.get("unpack", {}).get("rgb")
                 step = f"; unpack {comes} there" if comes else ""

@@ -88,6 +88,21 @@ class Listings:
                 return found
         return None
 
+    def leads_through(self, root: str, pattern: str, parts: tuple[str, ...]) -> bool:
+        """Return whether a file that a pattern fits lies in a folder, whose names are the parts."""
+        for each in expanded(pattern):
+            levels = each.split("/")
+            if "**" in levels[: len(parts)]:
+                return True
+            fit = len(levels) > len(parts) and all(
+                _fitting_name(level).fullmatch(part)
+                for level, part in zip(levels, parts, strict=False)
+            )
+            rest = "/".join(levels[len(parts) :])
+            if fit and self.find(Path(root, *parts), rest) is not None:
+                return True
+        return False
+
     def has(self, root: Path | str, sign: Sign) -> bool:
         """Return whether a sign is there below a folder."""
         patterns = (sign,) if isinstance(sign, str) else sign

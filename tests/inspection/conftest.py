@@ -32,7 +32,7 @@ def layout_maker(reference_data: Path) -> ModuleType:
 def unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no dataset be known by name: what inspect says of a folder is told by its files."""
     monkeypatch.setattr("nimprep.inspection.inspection.fitting_reader", lambda root, notes: None)
-    monkeypatch.setattr("nimprep.inspection.inspection.is_known", lambda folder: False)
+    monkeypatch.setattr("nimprep.inspection.inspection.meant_instead", lambda root: None)
 
 
 @pytest.fixture(scope="session")

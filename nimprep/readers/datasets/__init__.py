@@ -39,6 +39,11 @@ class Dataset:
         return tuple(s if isinstance(s, str) else tuple(s) for s in self.document["signs"])
 
     @property
+    def each(self) -> bool:
+        """Whether the signs are those of one sequence, of which it may have several."""
+        return bool(self.document.get("each"))
+
+    @property
     def not_signs(self) -> tuple[Sign, ...]:
         """What must not be there."""
         return tuple(self.document.get("not_signs", ()))
