@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,9 @@ def train(
             # What only the store and the machine show to be wrong is a wrong call as well.
             raise usage_error(error, TrainOptions) from error
         raise
+    if os.environ.get("RANK", "0") != "0":
+        # Of several processes the first speaks.
+        return
     best = done.best
     scores = ", ".join(
         f"{said} {100 * best[name]:.2f}"

@@ -1,13 +1,24 @@
 """A store that the tests here look at."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 
 import nimprep
 from nimprep.modality import MODALITIES
 from tests.fakes import write_gmrp
 from tests.networks.frames import CAMERA
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Networks this small take longer on several threads than on one."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="session")

@@ -33,6 +33,11 @@ ROUNDED = 2e-5
 """Of the standard deviation, where it is stored as float32."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> None:
+    """Let networks of full width have every thread."""
+
+
 @pytest.fixture(scope="module")
 def folder(reference_data: Path) -> Path:
     return reference_data.parent / "networks"

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 import nimprep.torch
+from nimprep.cli import main
 from nimprep.errors import LayoutError
 from nimprep.training import train
 from tests.processes import PATIENCE_S, Processes, same_code
@@ -106,3 +108,15 @@ def test_two_processes_share_frames_write_once_and_go_on(
     assert [said[0]["ids"] for _, said in again] == [one[0]["ids"][2:], other[0]["ids"][2:]]
     assert same_tensors(weights(tmp_path / "run"), weights(tmp_path / "cut"))
     assert log_lines(tmp_path / "cut") == lines
+
+
+@pytest.mark.parametrize("rank", ["0", "1"])
+def test_the_first_process_alone_prints_the_result(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rank: str
+) -> None:
+    monkeypatch.setenv("RANK", rank)
+    call = ["train", str(store), "--out", str(tmp_path / "run"), "-q", "--network", "mfnet"]
+    call += ["--setup", "rgb+d", "--width", "0.03", "--epochs", "1", "--threads", "1"]
+    told = CliRunner().invoke(main, call)
+    assert told.exit_code == 0, told.output
+    assert ("best.pt: epoch 1" in told.stdout) == (rank == "0")
