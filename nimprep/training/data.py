@@ -138,7 +138,7 @@ class Feed:
         if self.normals == "cached":
             return found
         method = {"normals": self.normals, "sign_filter": False, "noise": None}
-        return {**found, **method, "lone_normals": False}
+        return {**found, **method, "lone_normals": False, "whole_cells": False}
 
     @property
     def normal_dtype(self) -> str | None:

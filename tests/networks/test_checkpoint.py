@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from nimprep import __version__
+from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError, LayoutError
 from nimprep.frame import LabelClass
 from nimprep.networks import (
@@ -19,6 +20,7 @@ from nimprep.networks import (
     read_checkpoint,
     save_checkpoint,
 )
+from nimprep.schema import load_schema
 
 CLASSES = (LabelClass(0, "ground", (0, 0, 0)), LabelClass(7, "lichen", (9, 8, 7)))
 RECIPE = {
@@ -156,3 +158,8 @@ def test_what_cannot_be_written_leaves_what_was_there(tmp_path: Path) -> None:
             save_checkpoint(made(), tmp_path / "best.pt", LayoutError)
     assert (tmp_path / "best.pt").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["best.pt"]
+
+
+def test_the_schema_has_each_field_of_a_recipe() -> None:
+    document = load_schema("checkpoint")["properties"]["recipe"]
+    assert document["properties"].keys() == vars(Recipe()).keys()
