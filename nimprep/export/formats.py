@@ -28,8 +28,9 @@ LAYOUTS = {
 }
 """Where the layouts of networks are described (`nimprep.export.layout`)."""
 
-FrameWriter = Callable[[int, PurePosixPath], None]
-"""Write the frame of a number under a name."""
+FrameWriter = tuple[Callable[[int, PurePosixPath], set[str]], Callable[[set[str]], None]]
+"""Write the frame of a number under a name, and return what of it has no file; then, given all that
+frames have no file of, the rest."""
 
 
 def export_frames(
@@ -107,11 +108,9 @@ def export_frames(
         writer = _png_writer if form == "png" else _npz_writer
         files = files_of(ids, f".{form}")
         with whole_folder(out, place) as partial:
-            write = writer(store, numbers, partial, chosen)
-            for _ in map_frames(
-                "export", lambda i: write(i, files[store.ids[i]]), numbers, progress
-            ):
-                pass
+            write, finish = writer(store, numbers, partial, chosen)
+            done = map_frames("export", lambda i: write(i, files[store.ids[i]]), numbers, progress)
+            finish(set().union(*done))
     return ids
 
 
@@ -150,10 +149,13 @@ def _png_writer(
     from nimprep.export.png import raw_modalities, write_encodings, write_frame, write_records
 
     modalities = raw_modalities(store) if chosen is None else chosen
-    write_records(store, numbers, folder, modalities)
-    if chosen is not None:
-        write_encodings(store, folder, chosen)
-    return lambda index, name: write_frame(store, index, folder, name, modalities)
+
+    def finish(blank: set[str]) -> None:
+        write_records(store, numbers, folder, modalities, blank)
+        if chosen is not None:
+            write_encodings(store, folder, chosen)
+
+    return lambda index, name: write_frame(store, index, folder, name, modalities), finish
 
 
 def _npz_writer(
@@ -161,7 +163,8 @@ def _npz_writer(
 ) -> FrameWriter:
     from nimprep.export.npz import frame_arrays, npz_bytes
 
-    def write(index: int, name: PurePosixPath) -> None:
+    def write(index: int, name: PurePosixPath) -> set[str]:
         write_new(folder / name, npz_bytes(frame_arrays(store, index, chosen)))
+        return set()
 
-    return write
+    return write, lambda blank: None

@@ -22,13 +22,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from nimprep.depth_unit import MILLIMETRE, unit_words
+from nimprep.derive.recipe import Recipe, recipe_from
 from nimprep.errors import StoreError
 from nimprep.export.encoding import FILE, describe_encoding, encode_image, folder_of
 from nimprep.export.places import write_new
@@ -43,19 +44,39 @@ from nimprep.store.reader import Store
 RAW = ("rgb", "depth", "label")
 """What GMRP ships; what is derived from these, convert makes again."""
 
-GROUP_PATTERNS = ("{group}/*", "{group}/**", "**/{group}_*", "**/{group}-*")
+OPTIONAL = frozenset({"depth"})
+"""What a dataset may lack of single frames, which the store then holds as no value throughout."""
+
+GROUP_PATTERNS = (
+    "{group}/*",
+    "{group}/**",
+    "*/{group}/*",
+    "*/{group}/**",
+    "*/*/{group}/**",
+    "**/{group}_*",
+    "**/{group}-*",
+)
 """Patterns over ids that are tried to say the scenes, which a description cannot list."""
 
 
 def write_frame(
     store: Store, index: int, folder: Path, file: PurePosixPath, modalities: Sequence[str]
-) -> None:
-    """Write a frame's images, each at the frame's own size, numbers as the store has them."""
+) -> set[str]:
+    """Write a frame's images, each at the frame's own size, numbers as the store has them.
+
+    Depth of which no pixel has any is not written: the dataset had none of the frame, and a file
+    of it would be a damaged one. Returned is what was left out.
+    """
     height, width = store.camera(index).shape
+    blank = set()
     for name in modalities:
         image, modality = store.arrays[name].read(index)[:height, :width], store.modality(name)
+        if name in OPTIONAL and not image.any():
+            blank.add(name)
+            continue
         encoded = encode_image(image, modality)
         write_new(folder / folder_of(modality) / file, png_bytes(np.ascontiguousarray(encoded)))
+    return blank
 
 
 def raw_modalities(store: Store) -> list[str]:
@@ -117,9 +138,19 @@ def write_encodings(store: Store, folder: Path, modalities: Sequence[str]) -> No
 
 
 def write_records(
-    store: Store, numbers: Sequence[int], folder: Path, modalities: Sequence[str]
+    store: Store,
+    numbers: Sequence[int],
+    folder: Path,
+    modalities: Sequence[str],
+    blank: Collection[str] = (),
 ) -> None:
-    """Write the cameras, the splits and the description."""
+    """Write the cameras, the splits and the description.
+
+    Parameters
+    ----------
+    blank : collection of str
+        Modalities of which some frame has no file.
+    """
     cameras = {store.ids[i]: camera_document(store, i) for i in numbers}
     shared = shared_camera(list(cameras.values()))
     if shared is not None:
@@ -132,7 +163,7 @@ def write_records(
     splits = {i: split for i, split in store.splits.items() if i in cameras}
     write_new(folder / "split.json", json_bytes(split_document(splits)))
     if {"rgb", "depth"} <= set(modalities):
-        description = describe(store, numbers, pattern, modalities)
+        description = describe(store, numbers, pattern, modalities, blank)
         write_new(folder / "description.json", json_bytes(description))
 
 
@@ -160,7 +191,11 @@ def shared_camera(cameras: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
 
 
 def describe(
-    store: Store, numbers: Sequence[int], camera: str, modalities: Sequence[str]
+    store: Store,
+    numbers: Sequence[int],
+    camera: str,
+    modalities: Sequence[str],
+    blank: Collection[str] = (),
 ) -> dict[str, Any]:
     """Return the description of the exported folder (schemas/folder.schema.json)."""
     depth = describe_encoding(store.modality("depth"))
@@ -180,8 +215,36 @@ def describe(
         document["classes"] = [
             {"id": c.id, "name": c.name, "color": list(c.color)} for c in store.classes
         ]
-    pattern = group_pattern({store.ids[i]: store.tables.group[i] for i in numbers})
-    return document | ({"group": pattern} if pattern else {})
+    if "depth" in blank:
+        document["depth"]["missing"] = "none"
+        document["version"] = "1.1"
+    made = store.attributes["modalities"]
+    if "hha" in made and recipe_from(made).ground != Recipe().ground:
+        document |= {"version": "1.1", "hha_ground": recipe_from(made).ground}
+    return document | _belongings(store, {store.ids[i]: store.tables.group[i] for i in numbers})
+
+
+def _belongings(store: Store, groups: dict[str, str]) -> dict[str, Any]:
+    """Return the scenes' pattern and whose dataset it is; warn of what cannot be said there."""
+    found: dict[str, Any] = {}
+    if pattern := group_pattern(groups):
+        found["group"] = pattern
+    elif any(groups.values()):
+        warnings.warn(
+            f"{store.path}: the scenes are no part of the frames' ids, so that no description can "
+            "say them: they are left out",
+            stacklevel=2,
+        )
+    references = store.about.references
+    if len(references) == 1:
+        found |= {"version": "1.1", "reference": references[0]}
+    elif references:
+        warnings.warn(
+            f"{store.path}: a description says whose one dataset is, and these are "
+            f"{len(references)}: nimprep info {store.path} has their licences",
+            stacklevel=2,
+        )
+    return found
 
 
 def group_pattern(groups: dict[str, str]) -> str | None:

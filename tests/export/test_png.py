@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -173,6 +175,9 @@ def test_the_records_fit_their_schemas(tmp_path: Path) -> None:
     [
         ({"a/0": "a", "b/1": "b"}, "{group}/*"),
         ({"a/x/0": "a", "b/1": "b"}, "{group}/**"),
+        ({"training/a/0": "a", "testing/b/1": "b"}, "*/{group}/*"),
+        ({"training/a/x/0": "a", "testing/b/1": "b"}, "*/{group}/**"),
+        ({"x/training/a/0": "a", "y/testing/b/1": "b"}, "*/*/{group}/**"),
         ({"um_0": "um", "uu_1": "uu"}, "**/{group}_*"),
         ({"t/um_0": "um", "uu_1": "uu"}, "**/{group}_*"),
         ({"a-0": "a"}, "**/{group}-*"),
@@ -185,6 +190,76 @@ def test_scenes_are_described_where_one_pattern_gives_them_all(
     groups: dict[str, str], pattern: str | None
 ) -> None:
     assert group_pattern(groups) == pattern
+
+
+@pytest.mark.parametrize("chosen", [None, ("rgb", "depth", "label", "hha", "normal")])
+def test_a_dataset_known_by_name_converts_back_with_what_is_its_own(
+    tmp_path: Path, chosen: tuple[str, ...] | None
+) -> None:
+    """Its sequences, whose it is, where HHA counts from, and a test split without depth."""
+    raw = tmp_path / "raw"
+    for seed, (split, town) in enumerate((("train", "a"), ("train", "b"), ("test", "c"))):
+        rng = np.random.default_rng(seed)
+        name = f"{split}/{town}/{seed:04d}.png"
+        write_png(raw / "rgb" / name, rng.integers(0, 256, (24, 32, 3), dtype=np.uint8))
+        write_png(raw / "label" / name, rng.integers(0, 2, (24, 32), dtype=np.uint8))
+        if split == "train":
+            write_png(raw / "depth" / name, depth_image(seed, (24, 32)))
+    description = {
+        "format": "nimprep-folder",
+        "version": "1.1",
+        "name": "made",
+        "rgb": "rgb/{split}/{town}/{n}.png",
+        "id": "{split}/{town}/{n}",
+        "group": "{town}",
+        "split": {"of": "{split}", "names": {"train": "train", "test": "test"}},
+        "depth": {
+            "files": "depth/{split}/{town}/{n}.png",
+            "scale_m": 0.001,
+            "invalid": [0, 65535],
+            "missing": "split",
+        },
+        "label": {"files": "label/{split}/{town}/{n}.png"},
+        "classes": [
+            {"id": 0, "name": "other", "color": [0, 0, 0]},
+            {"id": 1, "name": "road", "color": [0, 200, 0]},
+        ],
+        "camera": {"fx": 30, "fy": 31, "cx": 16, "cy": 2},
+        "hha_ground": "lowest",
+        "reference": {"title": "Made", "licence": "CC BY 4.0", "citation": "Nobody. 2020."},
+    }
+    (tmp_path / "made.json").write_text(json.dumps(description))
+    with pytest.warns(UserWarning, match="none of the frames of split test has depth"):
+        store = nimprep.convert(raw, tmp_path / "s.zarr", description=tmp_path / "made.json")
+    export_frames(store, tmp_path / "out", modalities=chosen)
+    document = json.loads((tmp_path / "out" / "description.json").read_text())
+    assert schema_problems(document, "folder") == []
+    assert not (tmp_path / "out" / "depth_u16" / "test" / "c" / "0002.png").exists()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        again = convert_back(tmp_path / "out", tmp_path / "again.zarr")
+    assert_same(store, again)
+    assert set(again.tables.group) == {"a", "b", "c"}
+    assert again.about.references == store.about.references != []
+    for name in ("hha", "normal"):
+        for index in range(3):
+            np.testing.assert_array_equal(
+                again.arrays[name].read(index), store.arrays[name].read(index)
+            )
+
+
+def test_scenes_that_ids_do_not_tell_and_several_licences_are_said(tmp_path: Path) -> None:
+    raw = write_gmrp(tmp_path / "raw", frames=3)
+    store = nimprep.convert(raw, tmp_path / "s.zarr", camera=CAMERA)
+    groups = replace(store.tables, group=("x", "y", "x"))
+    about = replace(store.about, references=[{"title": "A"}, {"title": "B"}])
+    object.__setattr__(store, "tables", groups)
+    object.__setattr__(store, "about", about)
+    with (
+        pytest.warns(UserWarning, match="the scenes are no part of the frames' ids"),
+        pytest.warns(UserWarning, match="and these are 2: nimprep info"),
+    ):
+        export_frames(store, tmp_path / "out")
 
 
 def test_what_a_store_lacks_is_left_out(tmp_path: Path) -> None:
