@@ -23,11 +23,20 @@ def unmasked(values: Any, none: Any) -> npt.NDArray[Any]:
     return np.asarray(values)
 
 
-def floats(values: Any) -> npt.NDArray[np.float64]:
-    """Return a few numbers as float64, NaN where they are masked."""
-    if isinstance(values, np.ma.MaskedArray):
-        values = np.ma.filled(values.astype(np.float64), np.nan)
-    return np.asarray(values, dtype=np.float64)
+def floats(values: Any, name: str) -> npt.NDArray[np.float64]:
+    """Return a few numbers as float64, NaN where they are masked.
+
+    Raises
+    ------
+    ArrayError
+        They are no numbers, or rows of different length.
+    """
+    try:
+        if isinstance(values, np.ma.MaskedArray):
+            values = np.ma.filled(values.astype(np.float64), np.nan)
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArrayError(f"{name}: expected numbers, found {values!r:.60}") from error
 
 
 def without_mask(values: Any, name: str) -> npt.NDArray[Any]:

@@ -84,9 +84,9 @@ class Camera:
     def from_matrix(cls, matrix: npt.ArrayLike, width: int, height: int) -> Camera:
         """Build from K, (3, 3), pixels; skew must be 0 and the last row (0, 0, 1)."""
         try:
-            k = floats(matrix)
-        except (TypeError, ValueError) as error:
-            raise CameraError(f"camera: expected a (3, 3) matrix, found {error}") from error
+            k = floats(matrix, "camera")
+        except ArrayError as error:
+            raise CameraError(f"camera: expected a (3, 3) matrix, found {matrix!r:.60}") from error
         if k.shape != (3, 3):
             raise CameraError(f"camera: expected a (3, 3) matrix, found shape {k.shape}")
         if k[0, 1] != 0 or k[1, 0] != 0 or not np.array_equal(k[2], (0, 0, 1)):
@@ -152,7 +152,7 @@ def unit_gravity(given: Any) -> npt.NDArray[np.float64]:
     ArrayError
         It is none: not three finite numbers, or all of them 0.
     """
-    vector = floats(given)
+    vector = floats(given, "gravity")
     if vector.shape != (3,):
         raise ArrayError(f"gravity: expected 3 numbers, found shape {vector.shape}")
     largest = float(np.abs(vector).max())

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from nimprep import Camera
-from nimprep.camera import MAX_BASELINE_M, RANGES
-from nimprep.errors import CameraError
+from nimprep.camera import MAX_BASELINE_M, RANGES, unit_gravity
+from nimprep.errors import ArrayError, CameraError
 from nimprep.readers.cameras import camera_from_file
 from nimprep.schema import load_schema, schema_problems
 
@@ -140,6 +140,12 @@ def test_a_matrix_with_skew_is_refused() -> None:
     matrix[0, 1] = 0.5
     with pytest.raises(CameraError, match="found"):
         Camera.from_matrix(matrix, 640, 480)
+
+
+@pytest.mark.parametrize("given", ["abc", ["x", 1, 2], [[1], [2, 3], 4], {"x": 1}])
+def test_a_gravity_that_is_no_numbers_is_refused_as_all_arrays_are(given: object) -> None:
+    with pytest.raises(ArrayError, match=r"^gravity: expected numbers, found"):
+        unit_gravity(given)
 
 
 def test_a_camera_file_counted_from_one_is_converted(tmp_path: Path) -> None:

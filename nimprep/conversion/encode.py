@@ -19,7 +19,7 @@ from nimprep.conversion.sources import changed_files, frame_digest, frame_state
 from nimprep.derive.modalities import derive, fill_frame
 from nimprep.derive.recipe import Recipe
 from nimprep.doubts.depth import staircase_signs
-from nimprep.doubts.surfaces import depth_counts_sign
+from nimprep.doubts.surfaces import cut_signs, depth_counts_sign
 from nimprep.errors import ArrayError, DecodeError, NimprepError
 from nimprep.frame import Frame
 from nimprep.modality import MODALITIES, Modality, given_for
@@ -262,6 +262,7 @@ def _stored_images(frame: Frame, layout: StoreLayout, recipe: Recipe, *, road: b
     derived = derive(frame, missing, layout.modalities, recipe)
     stored |= {n: to_integers(layout.modality(n), i) for n, i in derived.images.items()}
     signs |= derived_signs(frame, stored, derived.signs, recipe, road=road)
+    signs |= cut_signs(derived.images, stored)
     return _Stored(stored, derived.gravity, signs, lost)
 
 

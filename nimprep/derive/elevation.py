@@ -136,7 +136,7 @@ def road_plane(cam_to_road: npt.ArrayLike) -> npt.NDArray[np.float64]:
     ArrayError
         Another shape, values that are not finite, or no rotation.
     """
-    transform = floats(cam_to_road)
+    transform = floats(cam_to_road, "cam_to_road")
     if transform.shape != (3, 4) or not np.isfinite(transform).all():
         raise ArrayError(
             f"cam_to_road: expected (3, 4) finite numbers, found shape {transform.shape}"
@@ -202,7 +202,7 @@ def estimate_elevation(
 
 
 def _checked(plane: Any, name: str) -> npt.NDArray[np.float64]:
-    values = floats(plane)
+    values = floats(plane, name)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise ArrayError(f"{name}: expected 4 finite numbers, found shape {values.shape}")
     length = math.sqrt(float(values[:3] @ values[:3]))

@@ -37,11 +37,12 @@ class NormalNoise:
     ----------
     relative : float
         Median over the image of the standard deviation of inverse depth by inverse depth: the share
-        of the distance that depth is off by. 0 = no noise is found.
+        of the distance that depth is off by. 0 = no noise is found; NaN = too few pixels have
+        neighbours with depth, so that none could be.
     expected_deg : float
         By how much normals of the method "nim" are turned on a plane that faces the camera at the
         median distance, degrees: what next neighbours differ by tells it, as "nim" takes the
-        difference of these alone.
+        difference of these alone; NaN as `relative`.
     roughness_deg : float
         Median angle of the road's normals, by "nim", to their median; NaN where there is no road.
     """
@@ -59,11 +60,9 @@ def normal_noise(depth_m: npt.NDArray[np.float32], camera: Camera) -> NormalNois
     depth_m : (H, W) float32, metres
         0 = none; as `checked_depth` returns it.
     """
-    return NormalNoise(
-        estimate_noise(depth_m).relative,
-        _expected_deg(depth_m, camera),
-        _roughness_deg(depth_m, camera),
-    )
+    expected = _expected_deg(depth_m, camera)
+    relative = math.nan if math.isnan(expected) else estimate_noise(depth_m).relative
+    return NormalNoise(relative, expected, _roughness_deg(depth_m, camera))
 
 
 def _expected_deg(depth_m: npt.NDArray[np.float32], camera: Camera) -> float:
@@ -71,7 +70,7 @@ def _expected_deg(depth_m: npt.NDArray[np.float32], camera: Camera) -> float:
     bends, inverses = np.empty((2, 1, 2 * SAMPLES**2))
     second_differences(depth_m, lags, counts, medians, bends, inverses)
     if counts[0] < _LEAST_SAMPLES:
-        return 0.0
+        return math.nan
     # Half the difference of two neighbours has 1 / sqrt(2) of an error, and a plane that faces the
     # camera has n_z = r where n_x = f g_u.
     error = float(medians[0]) / _MEDIAN_OF_BEND / math.sqrt(2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from nimprep.doubts.judge import Doubt, Rule, Signs, judged, percent
-from nimprep.doubts.surfaces import ROUGH_DEG, one_value_sign
+from nimprep.doubts.surfaces import ROUGH_DEG, can_be_cut, cut_sign, one_value_sign
 from nimprep.modality import MODALITIES
 
 TITLES = {
@@ -17,6 +17,11 @@ TITLES = {
         for m in MODALITIES.values()
         if m.values == "levels"
         for c, channel in enumerate(m.channels)
+    },
+    **{
+        f"cut-{m.name}": f"{m.long_name[0].upper()}{m.long_name[1:]} cut"
+        for m in MODALITIES.values()
+        if can_be_cut(m)
     },
 }
 """Of each kind, for people."""
@@ -74,6 +79,20 @@ RULES: tuple[Rule, ...] = (
         for m in MODALITIES.values()
         if m.values == "levels"
         for c, channel in enumerate(m.channels)
+    ),
+    *(
+        Rule(
+            f"cut-{m.name}",
+            cut_sign(m),
+            lambda x: x > 0,
+            lambda x, m=m: (
+                f"{m.name} is cut: {percent(x)} of it lies beyond {'±' if m.fill else ''}"
+                f"{m.most:.6g} {m.units}, and is stored as that"
+            ),
+            share=0,
+        )
+        for m in MODALITIES.values()
+        if can_be_cut(m)
     ),
 )
 """In the order in which they are said."""

@@ -1,4 +1,4 @@
-"""Signs in the directions of gravity that frames were given: they turn within a recording."""
+"""Signs in the directions of gravity that frames were given: they turn, or point up."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ import numpy.typing as npt
 
 from nimprep.doubts.judge import Doubt
 
-GRAVITY_KINDS = frozenset({"gravity-turns"})
+GRAVITY_KINDS = frozenset({"gravity-turns", "gravity-up"})
 
 TURNS_DEG = 10.0
 """A vehicle on a road hardly leans so far; a camera in the hand does."""
+
+UPWARDS = 0.5
+"""Of a unit vector: what points less than 30 degrees above the horizon may be of a camera that
+looks straight down or lies on its side."""
 
 
 def gravity_doubts(
@@ -32,6 +36,30 @@ def gravity_doubts(
     given : (N,) bool
         Whether a frame's was given; others are not asked.
     """
+    return [*_turning(ids, groups, gravity, given), *_pointing_up(ids, gravity, given)]
+
+
+def _pointing_up(
+    ids: Sequence[str], gravity: npt.NDArray[np.float64], given: npt.NDArray[np.bool_]
+) -> list[Doubt]:
+    up = np.flatnonzero(given & (gravity[:, 1] < -UPWARDS))
+    # Of a camera in the hand some may be so; of a wrong sign all are.
+    if 2 * up.size <= np.count_nonzero(given):
+        return []
+    text = (
+        "the gravity given points to the images' upper edge, as of a camera that hangs upside "
+        "down; if it does not, the sign is wrong: gravity points down, and what an accelerometer "
+        'measures at rest points up ("values": "acceleration")'
+    )
+    return [Doubt.of("gravity-up", text, [ids[number] for number in up.tolist()])]
+
+
+def _turning(
+    ids: Sequence[str],
+    groups: Sequence[str],
+    gravity: npt.NDArray[np.float64],
+    given: npt.NDArray[np.bool_],
+) -> list[Doubt]:
     of_group: dict[str, list[int]] = {}
     for number in np.flatnonzero(given).tolist():
         of_group.setdefault(groups[number], []).append(number)

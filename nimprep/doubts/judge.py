@@ -31,6 +31,7 @@ TITLES = {
     "ignored": "Labels ignored",
     "class-missing": "Classes that are nowhere",
     "gravity-turns": "Gravity turns within a recording",
+    "gravity-up": "Gravity upside down?",
 }
 """Of each kind of doubt, for people."""
 
@@ -137,6 +138,8 @@ def percent(share: float) -> str:
     """Return a share in percent that is 0 or 100 only where it is."""
     if share in (0, 1):
         return "all" if share else "none"
+    if share > 0.999:
+        return "more than 99.9%"
     return "less than 1%" if share < 0.01 else f"{100 * share:.3g}%"
 
 

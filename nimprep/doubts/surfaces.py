@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -140,6 +141,52 @@ def level_signs(images: Mapping[str, npt.NDArray[np.uint8]]) -> dict[str, float]
             most = int(count.argmax())
             level = any(a <= most <= b for a, b in _LEVEL_GROUND.get(channel, ()))
             signs[one_value_sign(modality, c)] = 0.0 if level else float(count[most] / len(some))
+    return signs
+
+
+def cut_sign(modality: Modality) -> str:
+    """Return the name of the sign that numbers of a modality lie beyond its integers."""
+    return f"{modality.name}_cut"
+
+
+def can_be_cut(modality: Modality) -> bool:
+    """Return whether numbers beyond a modality's integers are stored as the nearest of them."""
+    numbers = modality.values == "numbers" and modality.derived is not None
+    return numbers and modality.beyond == "nearest"
+
+
+def cut_signs(
+    made: Mapping[str, npt.NDArray[Any]], stored: Mapping[str, npt.NDArray[Any]]
+) -> dict[str, float]:
+    """Measure which share of a frame's derived numbers is stored as the nearest that can be.
+
+    Parameters
+    ----------
+    made : mapping of modality to (H, W) float32
+        As derived.
+    stored : mapping of modality to (H, W) integers
+        The same as the store holds them.
+
+    Returns
+    -------
+    dict
+        Of those alone of which some is cut. What is rounded up to the least integer counts as kept.
+    """
+    signs = {}
+    for name, numbers in made.items():
+        modality = MODALITIES[name]
+        if not can_be_cut(modality):
+            continue
+        integers = stored[name]
+        most = np.iinfo(modality.dtype).max
+        at_end = integers == most
+        if modality.fill:
+            at_end |= integers == -most
+        # Nearly all images end here, where none is as high as that.
+        beyond = np.abs(numbers[at_end]) * modality.steps >= most + 0.5
+        if beyond.any():
+            known = np.count_nonzero(integers != modality.fill)
+            signs[cut_sign(modality)] = float(np.count_nonzero(beyond) / known)
     return signs
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.doubts.raw import check_byte_order, raw_signs
-from nimprep.errors import DecodeError, LayoutError
+from nimprep.errors import DecodeError, DepthLossWarning, LayoutError
 from nimprep.files import check_file, write_whole
 from nimprep.folders import refuse_inside
 from nimprep.images import read_depth, read_header, read_rgb
@@ -191,6 +192,40 @@ def _stereo_of_frame(files: RoadFiles, calibration: Calibration) -> npt.NDArray[
     return stereo_depth(left, right, calibration)
 
 
+class _Saturated(NamedTuple):
+    """Say how much of an image's depth is too far for it: pixels, of how many, and the farthest."""
+
+    pixels: int
+    known: int
+    farthest_m: float
+
+
+def _saturated(depth: npt.NDArray[Any], image: npt.NDArray[np.uint16]) -> _Saturated:
+    known = int(np.count_nonzero(image))
+    if depth.dtype == np.uint16:  # An image that was there, and stays what it is.
+        return _Saturated(0, known, 0.0)
+    far = depth[image == SATURATED_MM]
+    return _Saturated(far.size, known, float(far.max(initial=0)))
+
+
+def _warn_of_saturated(src: Path, frames: Iterable[_Saturated]) -> None:
+    found = list(frames)
+    pixels = sum(frame.pixels for frame in found)
+    if pixels == 0:
+        return
+    share = 100 * pixels / sum(frame.known for frame in found)
+    number = sum(frame.pixels > 0 for frame in found)
+    warnings.warn(
+        f"{src}: {f'{share:.2g}' if share >= 0.01 else 'less than 0.01'} % of the depth, in "
+        f"{number} frame{'' if number == 1 else 's'}, is {SATURATED_MM} in the images, which is "
+        f"read as none: it lies at {SATURATED_MM / 1000} m or beyond, the farthest at "
+        f"{max(frame.farthest_m for frame in found):.6g} m; nimprep convert --depth-unit cm keeps "
+        "it in a store",
+        DepthLossWarning,
+        stacklevel=3,
+    )
+
+
 def write_depth(
     src: Path | str,
     out: Path | str,
@@ -202,8 +237,9 @@ def write_depth(
 ) -> dict[str, DepthOrigin]:
     """Write the depth of every frame of a road folder as ``OUT/training/depth_u16/<name>.png``.
 
-    16-bit millimetres: 0 = none, 65535 = 65.535 m or more. ``OUT/depth.json`` records the origin
-    of each frame (schemas/kitti-depth.schema.json).
+    16-bit millimetres: 0 = none, 65535 = 65.535 m or more; how much of LiDAR and stereo is that is
+    said by a `nimprep.errors.DepthLossWarning`. ``OUT/depth.json`` records the origin of each frame
+    (schemas/kitti-depth.schema.json).
 
     Parameters
     ----------
@@ -236,13 +272,14 @@ def write_depth(
     for path in (out / RECORD, *images.values()):
         check_file(path, src, overwrite=overwrite)
 
-    def write(item: tuple[RoadFiles, DepthOrigin]) -> None:
+    def write(item: tuple[RoadFiles, DepthOrigin]) -> _Saturated:
         files, origin = item
-        image = png_bytes(frame_depth_mm(files, origin, sparse))
-        write_whole(images[files], image, src, overwrite=overwrite)
+        depth = _measured_depth(files, origin, sparse)
+        image = _millimetres(depth)
+        write_whole(images[files], png_bytes(image), src, overwrite=overwrite)
+        return _saturated(depth, image)
 
-    for _ in map_frames("depth", write, list(chosen.items()), progress):
-        pass
+    _warn_of_saturated(src, map_frames("depth", write, list(chosen.items()), progress))
     record = {
         "format": "nimprep-kitti-depth",
         "version": "1.0",

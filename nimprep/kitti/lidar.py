@@ -124,7 +124,7 @@ def project_points(
     (height, width) float32, metres
         Along the camera's z; 0 = no point.
     """
-    coordinates = floats(points)[:, :3]
+    coordinates = floats(points, "points")[:, :3]
     coordinates = coordinates[np.isfinite(coordinates).all(axis=1)]
     depth_m = np.full(height * width, np.inf, dtype=np.float32)
     # What is too far for floating point comes out as NaN or infinity, and so nowhere.

@@ -58,7 +58,9 @@ class Source:
         return f"{self.title} ({self.choices})" if self.choices else self.title
 
 
-def sources(there: Mapping[str, Modality], base: Recipe) -> list[Source]:
+def sources(
+    there: Mapping[str, Modality], base: Recipe, *, calibrated: bool = True
+) -> list[Source]:
     """Return what is there, and what can be made of it: other modalities, and other choices.
 
     Parameters
@@ -68,6 +70,9 @@ def sources(there: Mapping[str, Modality], base: Recipe) -> list[Source]:
     base : Recipe
         How what is there was made. What is made here is made so too, but for the choices that are
         looked at, and of the depth as it is: no holes are filled.
+    calibrated : bool
+        Whether a frame has `cam_to_road`. Without, elevation is the same whichever road is asked
+        for, and nothing is said of one that is calibrated.
     """
     plain = replace(base, fill="none", store_filled=False, sign_filter=False, noise=None)
     found = []
@@ -76,7 +81,7 @@ def sources(there: Mapping[str, Modality], base: Recipe) -> list[Source]:
         if modality.values == "classes":
             continue
         title = modality.title or name.replace("_", " ").capitalize()
-        fields = _fields(modality, plain) if modality.derived else []
+        fields = _fields(modality, plain, calibrated) if modality.derived else []
         if name in there:
             found.append(Source(modality, None, title, _chosen(base, fields)))
         if modality.derived is None or not set(modality.derived.made_from) <= set(there):
@@ -92,12 +97,13 @@ def sources(there: Mapping[str, Modality], base: Recipe) -> list[Source]:
     return found
 
 
-def _fields(modality: Modality, recipe: Recipe) -> list[str]:
+def _fields(modality: Modality, recipe: Recipe, calibrated: bool) -> list[str]:
     """Return the choices that a modality depends on."""
     return [
         field
         for field, choices in CHOICES.items()
-        if len({_described(modality, _changed(recipe, field, c)) for c in choices}) > 1
+        if (calibrated or field != "elevation_road")
+        and len({_described(modality, _changed(recipe, field, c)) for c in choices}) > 1
     ]
 
 

@@ -186,6 +186,7 @@ def measure_separation(
     looked = sources(
         {name: array.modality for name, array in store.arrays.items()},
         recipe_from(store.about.modalities),
+        calibrated=bool(np.isfinite(store.tables.cam_to_road).all(axis=(1, 2)).any()),
     )
     done = (progress or no_progress)("comparing", len(chosen))
 

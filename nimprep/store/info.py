@@ -208,7 +208,9 @@ def _chosen_text(chosen: dict[str, Any]) -> str:
     if not frames:
         return f"{chosen['method']}, as no frame to measure noise on was good"
     relative, turns = (np.median([f[name] for f in frames]) for name in ("relative", "turns_deg"))
-    noise = f"noise of {relative:.2g} of the depth, which turns normals by {turns:.2g} degrees"
+    noise = (
+        f"noise of {relative:.2g} of the depth, which turns normals by up to {turns:.2g} degrees"
+    )
     ids = f"{len(frames)} frame" + ("" if len(frames) == 1 else "s")
     found = noise if relative > 0 else "no noise"
     return f"{chosen['method']}, chosen by {found} (median of {ids}, first {frames[0]['id']!r})"

@@ -19,6 +19,7 @@ from nimprep.camera import Camera
 from nimprep.cli import main
 from nimprep.derive.elevation import estimate_elevation, estimate_road_plane
 from nimprep.derive.hha import encode_hha
+from nimprep.doubts.gravity import gravity_doubts
 from nimprep.errors import ArrayError, DoubtWarning, LayoutError, StoreError
 from nimprep.images import read_depth
 from nimprep.readers import ReaderOptions, open_reader
@@ -343,6 +344,36 @@ def test_gravity_that_turns_is_doubted_within_a_recording_alone(tmp_path: Path) 
     (root / "d.json").write_text(json.dumps(document))
     apart = nimprep.convert(root, tmp_path / "b.zarr", **options)
     assert apart.about.doubts == []
+
+
+@pytest.mark.parametrize("roll", [0, 40, -55])
+def test_gravity_that_points_up_is_doubted(tmp_path: Path, roll: float) -> None:
+    root = write_frames(tmp_path / "a", [rotation(roll, 8)] * 2)
+    down = down_of(rotation(roll, 8))
+    expected = r"upside down; .* the sign is wrong.* \(2 frames, first '0\.000000'\)"
+    with pytest.warns(DoubtWarning, match=expected) as said:
+        store = nimprep.convert(
+            root, tmp_path / "up.zarr", description=root / "d.json", gravity=tuple(-down)
+        )
+    assert [d["kind"] for d in store.about.doubts].count("gravity-up") == 1
+    assert sum("upside down" in str(one.message) for one in said) == 1
+    store = convert(root, tmp_path / "down.zarr", gravity=tuple(down))
+    assert "gravity-up" not in [d["kind"] for d in store.about.doubts]
+
+
+def test_gravity_along_the_axis_and_of_a_few_frames_is_not_taken_to_point_up() -> None:
+    level, away, up = (0, 1, 0), (0, -0.4, 0.9165), (0, -1, 0)
+
+    def kinds(*gravity: tuple[float, float, float], given: bool = True) -> list[str]:
+        count = len(gravity)
+        flags = np.full(count, given)
+        found = gravity_doubts(list(map(str, range(count))), [""] * count, np.array(gravity), flags)
+        return [doubt.kind for doubt in found if doubt.kind == "gravity-up"]
+
+    assert kinds(away, away) == []
+    assert kinds(up, level) == []
+    assert kinds(up, up, given=False) == []
+    assert kinds(up, up, level) == ["gravity-up"]
 
 
 def test_append_and_merge_keep_each_frames_own_and_look_for_turns_anew(tmp_path: Path) -> None:

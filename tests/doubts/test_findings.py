@@ -20,9 +20,11 @@ from nimprep.cli import main
 from nimprep.derive.completion import fill_depth
 from nimprep.derive.normal_noise import normal_noise
 from nimprep.doubts.findings import RULES, TITLES, find
+from nimprep.doubts.judge import percent
 from nimprep.doubts.surfaces import (
     NOISY_DEG,
     ROUGH_DEG,
+    cut_signs,
     depth_counts_sign,
     joined_noise,
     level_signs,
@@ -30,9 +32,11 @@ from nimprep.doubts.surfaces import (
     normal_signs,
 )
 from nimprep.errors import DoubtWarning, FindingWarning
+from nimprep.modality import MODALITIES
 from nimprep.report.collect import collect
 from nimprep.report.findings import find as report_findings
 from nimprep.schema import schema_problems
+from nimprep.store.frames import to_integers
 from nimprep.store.info import info_text, store_info
 from tests.doubts.real_frames import RealFrame, dense_frames, kitti_scan
 from tests.doubts.streets import street
@@ -92,6 +96,14 @@ def test_noise_that_is_alike_in_neighbours_turns_normals_less() -> None:
     depth = street(CAMERA)
     rough, alike = ((depth * (1 + 0.01 * e)).astype(np.float32) for e in (errors, smooth))
     assert normal_noise(alike, CAMERA).expected_deg < 0.5 * normal_noise(rough, CAMERA).expected_deg
+
+
+def test_noise_of_depth_without_neighbours_is_not_said_to_be_none() -> None:
+    sparse = np.zeros(CAMERA.shape, np.float32)
+    sparse[::3, ::3] = noisy_street()[::3, ::3]
+    assert math.isnan(normal_noise(sparse, CAMERA).relative)
+    assert math.isnan(normal_noise(sparse, CAMERA).expected_deg)
+    assert noise_of([normal_signs(sparse, CAMERA, smoothed=False)]) is None
 
 
 def test_without_a_road_there_is_no_roughness_and_so_no_finding() -> None:
@@ -201,7 +213,7 @@ def test_hha_from_the_lowest_point_is_saturated_on_a_real_frame(
 ) -> None:
     options = {"modalities": ("depth", "hha"), "labels": False}
     target = tmp_path / "lowest.zarr"
-    with pytest.warns(FindingWarning, match=r"height above ground is saturated, 100% of it"):
+    with pytest.warns(FindingWarning, match=r"height above ground is saturated, more than 99\.9%"):
         store = nimprep.convert(reference_data / "gmrp", target, hha_ground="lowest", **options)
     assert kinds(store) == ["one-value-hha-1"]
     (found,) = (f for f in report_findings(store, collect(store)) if "saturated" in f.text)
@@ -297,3 +309,44 @@ def test_findings_are_no_doubts(tmp_path: Path) -> None:
         warnings.simplefilter("error", DoubtWarning)
         store = converted(source, tmp_path / "a.zarr")
     assert (store.about.doubts, kinds(store)) == ([], ["noisy-normals"])
+
+
+def test_a_share_is_said_to_be_all_only_where_it_is() -> None:
+    assert [percent(x) for x in (0.0, 0.005, 0.9, 0.99, 0.9998, 1.0)] == [
+        "none", "less than 1%", "90%", "99%", "more than 99.9%", "all"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "kept", "cut"),
+    [
+        ("disparity", [0, 0.001, 1, 255.997], [255.999, 300]),
+        ("elevation", [np.nan, -32.767, 0, 32.7674], [-32.7676, 32.7676, 900]),
+        ("transformed_disparity", [np.nan, -255.99, 0, 255.99], [-256, 256]),
+    ],
+)
+def test_numbers_beyond_what_is_stored_are_counted(
+    name: str, kept: list[float], cut: list[float]
+) -> None:
+    def signs(values: list[float]) -> dict[str, float]:
+        image = np.array([values], np.float32)
+        return cut_signs({name: image}, {name: to_integers(MODALITIES[name], image)})
+
+    assert signs(kept) == {}
+    # The first of those that are kept is none.
+    assert signs(kept + cut) == {f"{name}_cut": len(cut) / (len(kept) - 1 + len(cut))}
+
+
+def test_elevation_of_real_stereo_that_is_cut_is_said(reference_data: Path, tmp_path: Path) -> None:
+    folder = reference_data / "kitti_road"
+    options = {"modalities": ("depth", "elevation"), "labels": False}
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        store = nimprep.convert(folder, tmp_path / "cm.zarr", depth_unit=0.01, **options)
+    (line,) = (str(w.message) for w in said if w.category is FindingWarning)
+    assert "elevation is cut: less than 1% of it lies beyond ±32.767 m" in line
+    (finding,) = store.about.findings
+    assert finding["kind"] == "cut-elevation"
+    assert finding["count"] == 2
+    assert schema_problems(store.attributes, "store") == []
+    assert "elevation is cut" in info_text(store_info(tmp_path / "cm.zarr"))

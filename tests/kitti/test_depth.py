@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nimprep.errors import DecodeError, LayoutError
+from nimprep.errors import DecodeError, DepthLossWarning, LayoutError
 from nimprep.kitti.depth import (
     choose_origin,
     frame_depth,
@@ -110,6 +111,40 @@ def test_a_folder_of_depth_has_the_benchmarks_layout(files: RoadFiles, tmp_path:
     np.testing.assert_array_equal(metres_from_millimetres(written), frame_depth(files, "lidar"))
     stored = read_png(tmp_path / "out" / "testing" / "depth_u16" / "uu_000001.png")
     assert (stored == 8000).all()
+
+
+def test_depth_too_far_for_the_images_is_said(tmp_path: Path) -> None:
+    frame = list_road_files(road_folder(tmp_path / "road"))[0]
+    frame.depth.unlink()
+    frame.scan.parent.mkdir(parents=True, exist_ok=True)
+    # Straight ahead, the scanner being 0.27 m before the camera: 65.534 and 65.535 m, and 90.
+    ahead = np.array([65.264, 65.265, 89.73])
+    across = ahead * [-0.1, 0.1, 0.3]
+    points = np.stack([ahead + 0.54, across, np.full(3, -0.08), np.zeros(3)], axis=1)
+    frame.scan.write_bytes(points.astype("<f4").tobytes())
+    with pytest.warns(
+        DepthLossWarning, match=r"road: 67 % of the depth, in 1 frame, is 65535"
+    ) as w:
+        write_depth(tmp_path / "road", tmp_path / "out", sparse=True)
+    assert "the farthest at 90 m" in str(w[0].message)
+    assert "--depth-unit cm" in str(w[0].message)
+
+
+def test_saturated_images_that_were_there_are_copied_without_a_word(files: RoadFiles) -> None:
+    depth = np.full((HEIGHT, WIDTH), 8000, np.uint16)
+    depth[:9] = 65535
+    write_png(files.depth, depth)
+    root = files.folder.parent
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_depth(root, root.parent / "out")
+    written = read_png(root.parent / "out" / "training" / "depth_u16" / "um_000000.png")
+    np.testing.assert_array_equal(written, depth)
+
+
+def test_depth_of_real_stereo_that_is_too_far_is_said(reference_data: Path, tmp_path: Path) -> None:
+    with pytest.warns(DepthLossWarning, match=r"7\.5 % of the depth, in 2 frames, .* 683\.328 m"):
+        write_depth(reference_data / "kitti_road", tmp_path / "out")
 
 
 def test_the_written_depth_reads_as_if_it_had_been_there(files: RoadFiles, tmp_path: Path) -> None:

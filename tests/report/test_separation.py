@@ -122,6 +122,15 @@ def test_a_choice_that_makes_no_difference_is_one_row(folder: Folder) -> None:
     assert rows["HHA: horizontal disparity"].stored
 
 
+def test_without_a_calibrated_road_nothing_is_said_of_one() -> None:
+    there = {name: MODALITIES[name] for name in ("depth", "elevation")}
+    labels = [source.label for source in sources(there, Recipe(), calibrated=False)]
+    assert labels.count("Elevation") == 1
+    assert not any("fitted" in label or "calibrated" in label for label in labels)
+    both = [source.label for source in sources(there, Recipe())]
+    assert {"Elevation (calibrated)", "Elevation (fitted)"} <= set(both)
+
+
 def test_a_method_that_only_chooses_among_others_is_no_source() -> None:
     made = {source.label for source in LOOKED if source.modality.name == "normal"}
     assert made == {"Normals (nim)", "Normals (nim-edge)"}
