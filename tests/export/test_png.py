@@ -251,10 +251,8 @@ def test_a_dataset_known_by_name_converts_back_with_what_is_its_own(
 def test_scenes_that_ids_do_not_tell_and_several_licences_are_said(tmp_path: Path) -> None:
     raw = write_gmrp(tmp_path / "raw", frames=3)
     store = nimprep.convert(raw, tmp_path / "s.zarr", camera=CAMERA)
-    groups = replace(store.tables, group=("x", "y", "x"))
-    about = replace(store.about, references=[{"title": "A"}, {"title": "B"}])
-    object.__setattr__(store, "tables", groups)
-    object.__setattr__(store, "about", about)
+    store.tables = replace(store.tables, group=("x", "y", "x"))
+    store.attributes = {**store.attributes, "references": [{"title": "A"}, {"title": "B"}]}
     with (
         pytest.warns(UserWarning, match="the scenes are no part of the frames' ids"),
         pytest.warns(UserWarning, match="and these are 2: nimprep info"),
