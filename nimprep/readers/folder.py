@@ -43,7 +43,7 @@ from nimprep.readers.label_probe import label_notes
 from nimprep.readers.label_values import label_image
 from nimprep.readers.matching import Place, check_group, formatted, group_of, matched_frames
 from nimprep.readers.missing import judged
-from nimprep.readers.official_splits import official_splits, usual_rule, without_labelled
+from nimprep.readers.official_splits import official_splits, whole_scenes, without_labelled
 from nimprep.readers.orientation import orientation_signs
 from nimprep.readers.points import ScannerPlaces, depth_of_points
 from nimprep.readers.registration import (
@@ -136,7 +136,9 @@ class FolderReader(ReaderBase):
         lacking = {**self._colors.lacking, **of_depth, **self._cameras.lacking}
         lacking |= {**self._scanner.lacking, **self._matched.lacking}
         self._matched = replace(self._matched, lacking=lacking)
-        rule, rule_notes = usual_rule(description, map(self.group, self.ids))
+        if official:
+            scenes = {i: self.group(i) for i in self.ids}
+            self._splits = whole_scenes(description, self._splits, scenes)
         self.info = DatasetInfo(
             name=description.name,
             classes=description.classes if "label" in self._matched.places else (),
@@ -144,7 +146,7 @@ class FolderReader(ReaderBase):
             has_depth="depth" in self._matched.places,
             depth=self._depth_numbers(),
             planes=self._planes(),
-            split_by=rule,
+            split_by=description.split_by,
             hha_ground=description.hha_ground,
             reference=description.reference,
             notes=(
@@ -154,7 +156,6 @@ class FolderReader(ReaderBase):
                 *self._matched.notes,
                 *self._splits.notes,
                 *self._gravity.notes,
-                *(rule_notes if official and not self._splits.of_frame else ()),
                 *self._label_notes(),
                 *color_notes(description.rgb),
             ),

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 from nimprep.errors import LayoutError, SplitError
 from nimprep.readers.base import OfficialSplit
@@ -99,17 +98,23 @@ def without_labelled(splits: OfficialSplits, matched: Matched) -> OfficialSplits
     return OfficialSplits(stay, splits.skipped, (*splits.notes[: bool(splits.skipped)], note))
 
 
-def usual_rule(
-    description: Description, groups: Iterable[str]
-) -> tuple[Literal["frame", "group"] | None, tuple[str, ...]]:
-    """Return the rule that is usual for the dataset, and what is said where it cannot be kept."""
-    if description.split_by != "group" or len(set(groups)) >= LEAST_GROUPS:
-        return description.split_by, ()
+def whole_scenes(
+    description: Description, splits: OfficialSplits, group_of: Mapping[str, str]
+) -> OfficialSplits:
+    """Return splits that keep a dataset's scenes whole where they are too few to be split.
+
+    Where its usual rule is by scene and nobody chose splits, frames of fewer than three scenes
+    are all in train: their variations show the same places, and would be in train and test.
+    """
+    few = len(set(group_of.values())) < LEAST_GROUPS
+    if description.split_by != "group" or splits.of_frame or not few:
+        return splits
     note = (
-        f"fewer than {LEAST_GROUPS} scenes, which cannot be split as a whole: frames are split one "
-        "by one, so that those of a scene, which are alike, are in train and test"
+        f"fewer than {LEAST_GROUPS} scenes, which cannot be split as a whole: all frames are in "
+        "train; --split-by frame splits them one by one, though those of a scene are alike"
     )
-    return "frame", (note,)
+    everything: dict[str, OfficialSplit] = dict.fromkeys(group_of, "train")
+    return replace(splits, of_frame=everything, notes=(*splits.notes, note))
 
 
 _WAY_OUT = '"split": false in the description or --split-by to split anew'

@@ -163,11 +163,16 @@ def test_variations_and_the_camera_choose_frames_on_the_command_line(
         open_reader(vkitti2, ReaderOptions(variations="fog"))
 
 
-def test_of_two_scenes_frames_are_split_and_that_is_said(vkitti2: Path) -> None:
+def test_two_scenes_are_left_whole_in_train_and_that_is_said(vkitti2: Path, tmp_path: Path) -> None:
     shutil.rmtree(vkitti2 / "Scene06")
     reader = open_reader(vkitti2)
-    assert reader.info.split_by == "frame"
     assert any("fewer than 3 scenes" in note for note in reader.info.notes)
+    with pytest.warns(UserWarning, match="all frames are in train"):
+        whole = nimprep.convert(vkitti2, tmp_path / "whole.zarr", modalities=("rgb", "label"))
+    assert set(whole.splits.values()) == {"train"}
+    options = {"modalities": ("rgb", "label"), "split_by": "frame"}
+    split = nimprep.convert(vkitti2, tmp_path / "split.zarr", **options)
+    assert set(split.splits.values()) == {"train", "val", "test"}
 
 
 @pytest.mark.parametrize(
