@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from nimprep.errors import ArrayError
 from nimprep.modality import MODALITIES
 from nimprep.networks.edges import canny_edges
-from nimprep.networks.network import Network
+from nimprep.networks.network import SMALLEST, Network
 from nimprep.torch.scaling import Scaling
 from nimprep.torch.setups import Selection, channels_of
 
@@ -58,6 +59,27 @@ def extra_inputs(
             )
         return (depth,)
     return ()
+
+
+def whole_logits(
+    network: Network,
+    images: Sequence[Tensor],
+    selection: Selection,
+    scaling: Scaling,
+    depth: Tensor | None = None,
+) -> Tensor:
+    """Return a network's logits of whole frames of any size, (B, C, H, W).
+
+    Parameters are those of `extra_inputs`; images have no padding, whose border would be an edge of
+    the Canny map.
+    """
+    height, width = images[0].shape[-2:]
+    more = extra_inputs(network, images, selection, scaling, depth)
+    # Networks take no smaller images; what is added goes again.
+    down, right = max(SMALLEST - height, 0), max(SMALLEST - width, 0)
+    given = [functional.pad(image, (0, right, 0, down)) for image in (*images, *more)]
+    logits: Tensor = network(*given)
+    return logits[..., :height, :width]
 
 
 def colour_of(selection: Selection) -> str | None:

@@ -171,7 +171,8 @@ class FrameInputs:
     def depth_beside(self, depth_m: npt.NDArray[np.float32]) -> Tensor:
         """Return depth that is given beside the images, (1, H, W), scaled as in training."""
         scale, offset = scaling_rows(DEPTH, self.scaling)
-        own = Scaling({DEPTH: tuple(scale)}, {DEPTH: tuple(offset)})
+        cut = {name: ends for name, ends in self.scaling.cut.items() if name == DEPTH}
+        own = Scaling({DEPTH: tuple(scale)}, {DEPTH: tuple(offset)}, cut)
         return joined((DEPTH,), {DEPTH: _tensor(depth_m)}, own)
 
     def _rounded(

@@ -12,16 +12,15 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from nimprep.arrays import without_mask
 from nimprep.camera import Camera
 from nimprep.errors import ArrayError
 from nimprep.frame import Frame, LabelClass
-from nimprep.networks.beside import extra_inputs
+from nimprep.networks.beside import whole_logits
 from nimprep.networks.checkpoint import Checkpoint, read_checkpoint
 from nimprep.networks.frames import FrameInputs
-from nimprep.networks.network import SMALLEST, Network
+from nimprep.networks.network import Network
 
 _WHERE = "frame"
 """What messages call what a robot gives."""
@@ -186,12 +185,8 @@ class RunModel:
             moved = tuple(image.to(self.device) for image in images)
             beside = None if depth is None else depth.to(self.device)
             found = self.inputs
-            more = extra_inputs(self.network, moved, found.selection, found.scaling, beside)
-            # Networks take no smaller images; what is added goes again.
-            down, right = max(SMALLEST - height, 0), max(SMALLEST - width, 0)
-            given = [functional.pad(image, (0, right, 0, down)) for image in (*moved, *more)]
-            logits: Tensor = self.network(*given)
-            return logits[..., :height, :width].to(torch.float32).softmax(dim=1)
+            logits = whole_logits(self.network, moved, found.selection, found.scaling, beside)
+            return logits.to(torch.float32).softmax(dim=1)
 
     def _frame(
         self,

@@ -114,6 +114,14 @@ class Feed:
         self, batch: dict[str, Any], data: StoreDataset, network: Network, device: torch.device
     ) -> Fed:
         """Return a batch of a split that `open` gave, as the network takes it."""
+        images, depth = self.images(batch, device)
+        more = extra_inputs(network, images, self.selection, data.scaling, depth)
+        return Fed((*images, *more), batch["label"].to(device, non_blocking=True))
+
+    def images(
+        self, batch: dict[str, Any], device: torch.device
+    ) -> tuple[tuple[Tensor, ...], Tensor | None]:
+        """Return a batch's images on the device, and the depth beside them where one is needed."""
 
         def moved(tensor: Tensor) -> Tensor:
             return tensor.to(device, non_blocking=True)
@@ -123,13 +131,9 @@ class Feed:
                 torch.cat([moved(batch[name]) for name in group], dim=1)
                 for group in self.selection.groups
             )
-            depth = moved(batch[DEPTH])
-        else:
-            inputs = batch["inputs"]
-            images = tuple(map(moved, inputs if isinstance(inputs, tuple) else (inputs,)))
-            depth = None
-        more = extra_inputs(network, images, self.selection, data.scaling, depth)
-        return Fed((*images, *more), moved(batch["label"]))
+            return images, moved(batch[DEPTH])
+        inputs = batch["inputs"]
+        return tuple(map(moved, inputs if isinstance(inputs, tuple) else (inputs,))), None
 
     @property
     def recipe(self) -> dict[str, Any]:

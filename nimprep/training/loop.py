@@ -20,7 +20,7 @@ from nimprep.networks.checkpoint import BEST, Checkpoint, save_checkpoint
 from nimprep.torch import StoreDataset, StoreLoader
 from nimprep.torch.ranks import ranks
 from nimprep.training.criterion import Criterion
-from nimprep.training.data import Feed, frame_size
+from nimprep.training.data import DEPTH, Feed, frame_size
 from nimprep.training.distributed import is_first, summed
 from nimprep.training.faults import check_loss, check_weights, memory
 from nimprep.training.log import Log, Watcher
@@ -211,7 +211,9 @@ class Loop:
     def _save_best(self) -> None:
         if is_first():
             weights = {name: tensor.cpu() for name, tensor in self.network.state_dict().items()}
-            checkpoint = replace(described(self.feed, self.options, self.data), state=weights)
+            wants_depth = self.network.wants_depth
+            found = described(self.feed, self.options, self.data, wants_depth=wants_depth)
+            checkpoint = replace(found, state=weights)
             figures = dict(self.state.best)
             save_checkpoint(replace(checkpoint, figures=figures), self.out / BEST, LayoutError)
 
@@ -225,11 +227,16 @@ class Loop:
             self.log.write(line)
 
 
-def described(feed: Feed, options: TrainOptions, data: StoreDataset) -> Checkpoint:
-    """Return the checkpoint of a run, without weights and figures."""
+def described(
+    feed: Feed, options: TrainOptions, data: StoreDataset, *, wants_depth: bool
+) -> Checkpoint:
+    """Return the checkpoint of a run, without weights and figures.
+
+    `wants_depth` says whether the network takes depth beside its images.
+    """
     assert options.network is not None
     assert options.setup is not None
-    named = {*feed.selection.modalities}
+    named = {*feed.selection.modalities} | ({DEPTH} if wants_depth else set())
     return Checkpoint(
         network=options.network,
         width=options.width,

@@ -11,7 +11,7 @@ import torch
 from nimprep.evaluation.scores import MEASURES, Evaluation, or_none
 from nimprep.metrics import confusion_matrix
 from nimprep.networks import Network
-from nimprep.networks.network import SMALLEST
+from nimprep.networks.beside import whole_logits
 from nimprep.torch import StoreDataset, StoreLoader
 from nimprep.torch.ranks import ranks
 from nimprep.training.data import Feed
@@ -43,12 +43,12 @@ def score_split(
         for batch in loader:
             check()
             height, width = (int(n) for n in batch["size"][0])
-            # Padding goes, as far as the network can do without it.
-            rows, columns = max(height, SMALLEST), max(width, SMALLEST)
-            fed = feed.fed(batch, data, network, precision.device)
+            images, depth = feed.images(batch, precision.device)
+            own = [image[..., :height, :width] for image in images]
+            beside = None if depth is None else depth[..., :height, :width]
             with precision.autocast():
-                logits = network(*(image[..., :rows, :columns] for image in fed.images))
-            guess = logits.argmax(dim=1)[0, :height, :width].to("cpu", torch.uint8).numpy()
+                logits = whole_logits(network, own, feed.selection, data.scaling, beside)
+            guess = logits.argmax(dim=1)[0].to("cpu", torch.uint8).numpy()
             label = batch["label"][0, :height, :width].numpy()
             confusion += confusion_matrix(label, guess, count)
     whole = summed(torch.from_numpy(confusion).to(precision.device)).cpu().numpy()

@@ -40,7 +40,8 @@ def make_run(
     if min(frame_size(opened)) >= SMALLEST:
         _balance(net.eval(), feed, data)
     out.mkdir(parents=True, exist_ok=True)
-    checkpoint = replace(described(feed, full, data), state=net.state_dict())
+    found = described(feed, full, data, wants_depth=net.wants_depth)
+    checkpoint = replace(found, state=net.state_dict())
     save_checkpoint(checkpoint, out / "best.pt")
     return out
 
