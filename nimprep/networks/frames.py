@@ -201,7 +201,9 @@ def recipe_of(checkpoint: Checkpoint) -> Recipe:
             f"recipe: expected some of {', '.join(sorted(known))}, found {unknown[0]!r}; read it "
             "with the nimprep that wrote it, or a later one"
         )
-    return Recipe(**checkpoint.recipe)
+    # Checkpoints that say nothing of cells are of a time when nim-edge took whole ones.
+    whole = checkpoint.recipe.get("normals") == "nim-edge"
+    return Recipe(**{"whole_cells": whole, **checkpoint.recipe})
 
 
 def _is_derived(name: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ import pytest
 import torch
 
 import nimprep
+from nimprep.derive.recipe import Recipe
 from nimprep.errors import ArrayError
 from nimprep.networks import NimNetwork, load_run, read_checkpoint
+from nimprep.schema import load_schema
 from nimprep.torch.scaling import Scaling
 from nimprep.training import predict
 from tests.training.runs import change_run, make_run
@@ -211,3 +214,25 @@ def test_a_checkpoint_whose_fields_do_not_fit_is_told(
     with pytest.raises(ArrayError, match=re.escape(str(run))) as told:
         load_run(run)
     assert "\n" not in str(told.value)
+
+
+def test_checkpoints_hold_every_field_of_a_recipe(store: Path, tmp_path: Path) -> None:
+    said = load_schema("checkpoint")["properties"]["recipe"]["properties"]
+    assert said.keys() == {field.name for field in fields(Recipe)}
+    run = make_run(store, tmp_path / "run", "unet", "nim-depth", normals="nim-edge")
+    assert load_run(run).inputs.recipe.whole_cells is False
+    recipe = {n: v for n, v in read_checkpoint(run).recipe.items() if n != "whole_cells"}
+    change_run(run, recipe=recipe)
+    assert load_run(run).inputs.recipe.whole_cells is True
+
+
+@pytest.mark.parametrize("setup", ["nim-rgb+d", "rgb+hha", "rgb+d"])
+def test_depth_beside_the_images_is_scaled_as_in_training(
+    store: Path, tmp_path: Path, setup: Any
+) -> None:
+    run = make_run(store, tmp_path / "run", "depthaware", setup, normalize="train")
+    scale, offset = Scaling.from_statistics(nimprep.open_store(store), ["depth"]).rows("depth")
+    depth_m = np.array([[0, 2, 9, 40]], np.float32)
+    expected = np.where(depth_m > 0, depth_m * scale + offset, 0)
+    found = load_run(run).inputs.depth_beside(depth_m)[0].numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-6)

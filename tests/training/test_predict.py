@@ -25,8 +25,11 @@ from nimprep.options import options_of
 from nimprep.schema import schema_problems
 from nimprep.torch import StoreDataset
 from nimprep.torch.scaling import Scaling
-from nimprep.training import PredictOptions, predict, train
+from nimprep.training import PredictOptions, TrainOptions, predict, train
+from nimprep.training.data import Feed
+from nimprep.training.precision import Precision
 from nimprep.training.predict_options import PredictKeywords
+from nimprep.training.scoring import score_split
 from tests.fakes import NYU_LIKE, contents, depth_image, write_png
 from tests.thermal import use_reader, write_thermal
 from tests.training.runs import change_run, make_run
@@ -111,26 +114,52 @@ def test_evaluate_finds_the_scores_of_the_training(store: Path, tmp_path: Path) 
     assert (document["network"], document["split"], document["frames"]) == ("mfnet", "val", 2)
 
 
-def test_frames_of_several_sizes_are_predicted_at_their_own(tmp_path: Path) -> None:
-    sizes = {"a": (64, 80), "sub/b": (70, 70), "c": (66, 72), "d": (64, 80), "e": (65, 71)}
-    for name, size in sizes.items():
+SIZES = {"a": (64, 80), "sub/b": (70, 70), "c": (66, 72), "d": (64, 80), "e": (65, 71)}
+
+
+def store_of_sizes(tmp_path: Path) -> Path:
+    """Convert frames of several sizes, of two classes; half of each frame is of the second."""
+    for name, size in SIZES.items():
         colors = np.random.default_rng(1).integers(0, 256, (*size, 3), dtype=np.uint8)
         write_png(tmp_path / "raw" / "color" / f"{name}.png", colors)
         write_png(tmp_path / "raw" / "depth" / f"{name}.png", depth_image(1, size))
-        write_png(tmp_path / "raw" / "label" / f"{name}.png", np.full(size, 40, np.uint16))
+        label = np.full(size, 40, np.uint16)
+        label[: size[0] // 2] = 0
+        write_png(tmp_path / "raw" / "label" / f"{name}.png", label)
     description = {k: v for k, v in NYU_LIKE.items() if k not in ("camera", "group")}
     description["depth"] = {"files": "depth/{id}.png", "scale_m": 0.001, "invalid": [0, 65535]}
     description["label"] = {**NYU_LIKE["label"], "map": {"40": 7}}
     description["classes"] = [NYU_LIKE["classes"][0], {**NYU_LIKE["classes"][1], "id": 7}]
     (tmp_path / "description.json").write_text(json.dumps(description))
     given = {"description": tmp_path / "description.json", "camera": (50, 50, 25, 20)}
-    store = Path(nimprep.convert(tmp_path / "raw", tmp_path / "s.zarr", **given).path)
+    return Path(nimprep.convert(tmp_path / "raw", tmp_path / "s.zarr", **given).path)
+
+
+@pytest.mark.parametrize("network", ["gscnn", "depthaware"])
+def test_training_scores_frames_of_several_sizes_as_predict_does(
+    tmp_path: Path, network: Any
+) -> None:
+    store = store_of_sizes(tmp_path)
+    run = make_run(store, tmp_path / "run", network, "rgb+hha", normalize="train")
+    opened, net = nimprep.open_store(store), read_checkpoint(run).build().eval()
+    options = TrainOptions(network=network, setup="rgb+hha", normalize="train", **SMALL)
+    feed = Feed(opened, options)
+    feed.fit(net)
+    precision = Precision(options, torch.device("cpu"))
+    found = score_split(net, feed, feed.open("train"), options, precision, lambda: None)
+    done = predict(store, run, tmp_path / "p", split="train", **CPU)
+    expected = evaluate_predictions(store, done.folder, "train")
+    np.testing.assert_array_equal(found.confusion, expected.confusion)
+
+
+def test_frames_of_several_sizes_are_predicted_at_their_own(tmp_path: Path) -> None:
+    store = store_of_sizes(tmp_path)
     run = make_run(store, tmp_path / "run", "mfnet", "rgb+hha")
     common: dict[str, Any] = {"split": "all", "save_scores": True, **CPU}
     predict(store, run, tmp_path / "one", **common)
     predict(store, run, tmp_path / "three", batch=3, **common)
     labels = labels_in(tmp_path / "one")
-    assert {name: image.shape for name, image in labels.items()} == sizes
+    assert {name: image.shape for name, image in labels.items()} == SIZES
     assert {*np.unique(np.concatenate([*map(np.ravel, labels.values())]))} <= {0, 7}
     other = scores_in(tmp_path / "three")
     for name, scores in scores_in(tmp_path / "one").items():
