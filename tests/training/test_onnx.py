@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -18,13 +19,25 @@ from nimprep.networks import load_run
 from nimprep.networks.onnx import OPSET, check_libraries, export_onnx
 from tests.training.runs import make_run
 
+NORMALS = {"depth", "intrinsics"}
+
 CASES = [
-    ("mfnet", "nim-rgb+d", {"rgb", "depth", "intrinsics"}),
+    ("fcn8s", "nim-depth", NORMALS),
+    ("segnet", "nim-depth", NORMALS),
     ("unet", ("hha", "elevation", "depth-minmax", "mask"), {"hha", "elevation", "depth"}),
+    ("deeplabv3plus", "nim-depth", NORMALS),
+    ("denseaspp", "nim-depth", NORMALS),
+    ("dupsampling", "nim-depth", NORMALS),
+    ("espnet", "nim-depth", NORMALS),
+    ("gscnn", "nim-rgb+d", NORMALS | {"rgb", "canny"}),
+    ("fusenet", "nim-rgb+d", NORMALS | {"rgb"}),
+    ("depthaware", "nim-rgb+d", NORMALS | {"rgb"}),
+    ("mfnet", "nim-rgb+d", NORMALS | {"rgb"}),
+    ("rtfnet18", "nim-rgb+d", NORMALS | {"rgb"}),
 ]
 
 
-@pytest.mark.parametrize(("network", "setup", "names"), CASES, ids=["nim", "others"])
+@pytest.mark.parametrize(("network", "setup", "names"), CASES, ids=[c[0] for c in CASES])
 def test_onnxruntime_gives_the_same_scores(
     store: Path, tmp_path: Path, network: Any, setup: Any, names: set[str]
 ) -> None:
@@ -41,10 +54,13 @@ def test_onnxruntime_gives_the_same_scores(
     assert json.loads(said["nimprep.classes"]) == classes
     for index in range(3):
         frame, camera = opened[index], opened.camera(index)
-        given: dict[str, Any] = {"intrinsics": camera.matrix.astype(np.float32)[None]}
+        canny = cv2.Canny(np.ascontiguousarray(frame["rgb"]), 10, 100)
+        given: dict[str, Any] = {}
         for name in names - {"intrinsics"}:
-            image = frame[name]
+            image = canny if name == "canny" else frame[name]
             given[name] = (image.transpose(2, 0, 1) if image.ndim == 3 else image[None])[None]
+        if "intrinsics" in names:
+            given["intrinsics"] = camera.matrix.astype(np.float32)[None]
         logits = session.run(["logits"], given)[0]
         scores = torch.from_numpy(logits).softmax(dim=1)[0].numpy()
         expected = model.predict(frame.rgb, frame.depth_m, camera, scores=True)[1]
