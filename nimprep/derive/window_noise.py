@@ -39,19 +39,21 @@ WHOLE = 1.4
 
 @dataclass(frozen=True)
 class _Windows:
-    """Hold what is left in the flattest windows, as standard deviations of inverse depth, 1/m.
+    """Hold what `window_moments` writes of the windows that have depth enough."""
 
-    Attributes
-    ----------
-    count : int
-        Of the windows that have depth enough.
-    plane, quadric : float
-        What is left by either.
-    """
+    moments: npt.NDArray[np.float64]
+    sums: npt.NDArray[np.float64]
 
-    count: int
-    plane: float
-    quadric: float
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.sums)
+
+    def left(self, terms: int) -> float:
+        """Return what is left by a plane or a quadric in the flattest ones, 1/m."""
+        left = np.empty(self.count)
+        fit_left(self.moments, self.sums, terms, left)
+        return percentile(left, _FLATTEST)
 
 
 def sigma_in_windows(depth_m: npt.NDArray[np.float32]) -> float:
@@ -70,12 +72,15 @@ def sigma_in_windows(depth_m: npt.NDArray[np.float32]) -> float:
         return 0.0
     centres = _centres(height, width)
     large = _windows(depth_m, centres, _HALF)
-    if large.count < _LEAST_WINDOWS or large.quadric < _LEAST_LEFT * large.plane:
+    if large.count < _LEAST_WINDOWS:
+        return 0.0
+    plane = large.left(_PLANE)
+    if large.left(_QUADRIC) < _LEAST_LEFT * plane:
         return 0.0
     small = _windows(depth_m, centres, _HALF // 2)
-    if small.count == 0 or large.plane > _MOST_GROWTH * small.plane:
+    if small.count == 0 or plane > _MOST_GROWTH * small.left(_PLANE):
         return 0.0
-    return WHOLE * large.plane
+    return WHOLE * plane
 
 
 @lru_cache(maxsize=8)
@@ -93,15 +98,11 @@ def _centres(height: int, width: int) -> npt.NDArray[np.int64]:
 def _windows(
     depth_m: npt.NDArray[np.float32], centres: npt.NDArray[np.int64], half: int
 ) -> _Windows:
-    """Fit a plane and a quadric to each window that has depth enough."""
+    """Return the moments of the windows that have depth enough."""
     moments, sums = np.zeros((len(centres), 2, 5, 5)), np.zeros((len(centres), 2))
     window_moments(depth_m, centres, half, _STEP, moments, sums)
     pixels = (2 * half // _STEP + 1) ** 2
     enough = moments[:, 0, 0, 0] >= _LEAST_SHARE * pixels
     if not enough.all():
         moments, sums = moments[enough], sums[enough]
-    left = np.empty((2, len(moments)))
-    fit_left(moments, sums, _PLANE, left[0])
-    fit_left(moments, sums, _QUADRIC, left[1])
-    plane, quadric = (percentile(one, _FLATTEST) if one.size else 0.0 for one in left)
-    return _Windows(len(moments), plane, quadric)
+    return _Windows(moments, sums)

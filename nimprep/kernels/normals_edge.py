@@ -78,35 +78,61 @@ def _neighbour_row(
 
 
 @kernel(fastmath=FASTMATH, inline=True)
-def _cell_row(
+def _cell(
+    r: np.float32,
+    level: np.float32,
+    g_u: np.float32,
+    g_v: np.float32,
+    energy: np.float32,
+    share: np.float32,
+    x: np.float32,
+    y: np.float32,
+    allowed: np.float32,
+    sums: tuple[np.float32, np.float32, np.float32],
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Add a cell's plane to the sums of g_u, of g_v and of weights."""
+    miss = r - (level + g_u * x + g_v * y)
+    weight = share * weight_of(energy + MISS * max(miss * miss - allowed, ZERO))
+    return sums[0] + weight * g_u, sums[1] + weight * g_v, sums[2] + weight
+
+
+@kernel(fastmath=FASTMATH, inline=True)
+def _add_cells(
     r: Row,
-    wide: Image,
+    above: Image,
+    below: Image,
     side: int,
+    across: np.float32,
     share_row: Row,
-    share_v: np.float32,
     x_row: Row,
     y: np.float32,
     noise: Noise,
     sums: Image,
 ) -> None:
-    """Add the planes of the cells left and right of each pixel, from ``wide``, (4, W + 2 s)."""
+    """Add the planes of the four cells around each pixel, from two rows of cells, (4, W + 2 s).
+
+    `across` of them are taken from ``below``, the rest from ``above``.
+    """
     sum_u, sum_v, weights = sums[0], sums[1], sums[2]
     # Sliced one by one: a slice of all four has a stride that LLVM does not know.
     start, stop = side // 2, side // 2 + side
-    left_r, left_u = wide[0][start:], wide[1][start:]
-    left_v, left_e = wide[2][start:], wide[3][start:]
-    right_r, right_u = wide[0][stop:], wide[1][stop:]
-    right_v, right_e = wide[2][stop:], wide[3][stop:]
+    a_r, a_u, a_v, a_e = above[0][start:], above[1][start:], above[2][start:], above[3][start:]
+    b_r, b_u, b_v, b_e = above[0][stop:], above[1][stop:], above[2][stop:], above[3][stop:]
+    c_r, c_u, c_v, c_e = below[0][start:], below[1][start:], below[2][start:], below[3][start:]
+    d_r, d_u, d_v, d_e = below[0][stop:], below[1][stop:], below[2][stop:], below[3][stop:]
+    over, under = CELLS * (ONE - across), CELLS * across
     for u in range(r.size):
-        x, share = x_row[u], share_row[u] * share_v
-        allowed = WITHIN2 * noise_floor(r[u], noise[0], noise[1])
-        miss = r[u] - (left_r[u] + left_u[u] * x + left_v[u] * y)
-        left = (share_v - share) * weight_of(left_e[u] + MISS * max(miss * miss - allowed, ZERO))
-        miss = r[u] - (right_r[u] + right_u[u] * x + right_v[u] * y)
-        right = share * weight_of(right_e[u] + MISS * max(miss * miss - allowed, ZERO))
-        sum_u[u] += left * left_u[u] + right * right_u[u]
-        sum_v[u] += left * left_v[u] + right * right_v[u]
-        weights[u] += left + right
+        x, share, here = x_row[u], share_row[u], r[u]
+        allowed = WITHIN2 * noise_floor(here, noise[0], noise[1])
+        some = sum_u[u], sum_v[u], weights[u]
+        rest = ONE - share
+        some = _cell(here, a_r[u], a_u[u], a_v[u], a_e[u], rest * over, x, y, allowed, some)
+        some = _cell(here, b_r[u], b_u[u], b_v[u], b_e[u], share * over, x, y, allowed, some)
+        some = _cell(here, c_r[u], c_u[u], c_v[u], c_e[u], rest * under, x, y, allowed, some)
+        some = _cell(here, d_r[u], d_u[u], d_v[u], d_e[u], share * under, x, y, allowed, some)
+        sum_u[u] = some[0]
+        sum_v[u] = some[1]
+        weights[u] = some[2]
 
 
 @kernel(fastmath=FASTMATH, inline=True)
@@ -152,32 +178,6 @@ def _widened(planes: Image, row: int, side: int, out: Row) -> None:
         for i in range(columns):
             for u in range((i + 1) * side, min((i + 2) * side, out.shape[1])):
                 out[k, u] = planes[k, row, i]
-
-
-@kernel(fastmath=FASTMATH)
-def _add_cells(
-    r: Row,
-    v: int,
-    side: int,
-    planes: Image,
-    wide: Row,
-    share_row: Row,
-    x_row: Row,
-    y: np.float32,
-    noise: Noise,
-    sums: Row,
-) -> None:
-    """Add the planes of the four cells around each pixel of row v.
-
-    ``wide`` keeps two rows of cells, (2, 4, W + 2 s); a row is written when it is first needed.
-    """
-    half = side // 2
-    upper = (v - half) // side
-    across = np.float32(((v - half) % side + 0.5) / side)
-    for row in (upper, upper + 1):
-        line = wide[row % 2]
-        share_v = CELLS * (across if row > upper else ONE - across)
-        _cell_row(r, line, side, share_row, share_v, x_row, y, noise, sums)
 
 
 @kernel(fastmath=FASTMATH)
@@ -281,8 +281,10 @@ def edge_rows(
         )
         y = np.float32(v - cy)
         if side > 0:
-            if (v - half) % side == 0:
-                below = (v - half) // side + 1
-                _widened(planes, below, side, wide[below % 2])
-            _add_cells(row[2:-2], v, side, planes, wide, share_row, x_row, y, noise, sums)
+            upper, inside = (v - half) // side, (v - half) % side
+            above, below = wide[upper % 2], wide[(upper + 1) % 2]
+            if inside == 0:
+                _widened(planes, upper + 1, side, below)
+            across = np.float32((inside + 0.5) / side)
+            _add_cells(row[2:-2], above, below, side, across, share_row, x_row, y, noise, sums)
         _normal_row(up, row, down, sums, x_row, y, f_x, f_y, out[v])
