@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from nimprep.errors import DecodeError
 from nimprep.images import read_array, read_array_header, read_header, read_label
+from nimprep.kitti.names import PREDICTED, Target
+from nimprep.schema import check_json, read_json
 
 _PNG_LEVEL = 2
 """zlib's level for PNGs written here: levels 3 to 6 take up to twice as long for 3 to 12 % less."""
-
-_OFF = 1e-2
-"""So far from 1 two probabilities may add up to, which float16 rounds too."""
 
 _ROUNDING = 1e-6
 """So far outside [0, 1] a probability may lie."""
@@ -43,8 +42,8 @@ def read_confidence(path: Path, *, mask: bool = False) -> npt.NDArray[np.uint8]:
 
     PNG: one channel of 8 or 16 bits, the highest number being surely road; 16 bits become the
     nearest of 8. NumPy: floating probabilities, (H, W) in [0, 1], which become the nearest of
-    0/255 to 255/255; or (2, H, W), not road and road, which add up to 1, as `nimprep predict` has
-    them.
+    0/255 to 255/255; or a plane for each class, (C, H, W), of the folder that `nimprep predict`
+    made: which plane is the road's stands in its predictions.json.
 
     Parameters
     ----------
@@ -101,13 +100,7 @@ def _confidence_from_probability(path: Path) -> npt.NDArray[np.uint8]:
         raise DecodeError(f"{path}: {reason}")
     array = read_array(path)
     if array.ndim == 3:
-        off = float(np.abs(array.sum(axis=0, dtype=np.float64) - 1).max())
-        if not off <= _OFF:
-            raise DecodeError(
-                f"{path}: expected planes of not road and road that add up to 1, found sums off by "
-                f"{off:g}; put logits through a softmax first, or write the road's plane alone"
-            )
-        array = array[1]
+        array = array[_road_plane(path, len(array))]
     low, high = float(array.min()), float(array.max())
     # A softmax in float32 may pass 1 by its rounding.
     if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
@@ -127,13 +120,29 @@ def reason_against_array(path: Path) -> str:
         It is no such file.
     """
     header = read_array_header(path)
-    alone = len(header.shape) == 2 or (len(header.shape) == 3 and header.shape[0] == 2)
-    plane = alone and 0 not in header.shape
+    of_class = len(header.shape) == 3 and _road_plane(path, header.shape[0]) is not None
+    plane = (len(header.shape) == 2 or of_class) and 0 not in header.shape
     if plane and np.issubdtype(header.dtype, np.floating):
         return ""
     found = f"{header.shape} of {header.dtype}"
     advice = "write one plane, that of the road" if not plane else "write them as float32, 0 to 1"
     return f"expected probabilities as a floating (H, W) array, found {found}; {advice}"
+
+
+def _road_plane(path: Path, planes: int) -> int | None:
+    """Return which of a file's planes is the road's; None = nothing says so.
+
+    `nimprep predict` says what its planes stand for, in the folder above scores/, in which a
+    frame's file may lie in a folder of its half.
+    """
+    for folder in list(path.absolute().parents)[:3]:
+        if (folder / PREDICTED).is_file():
+            said = read_json(folder / PREDICTED)
+            check_json(said, "predictions", str(folder / PREDICTED))
+            names = [known["name"] for known in said["classes"]]
+            places = [place for place, name in enumerate(names) if name in get_args(Target)]
+            return places[0] if len(places) == 1 and len(names) == planes else None
+    return None
 
 
 def read_ground_truth(path: Path) -> GroundTruth:

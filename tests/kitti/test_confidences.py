@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import zipfile
 from pathlib import Path
@@ -173,7 +174,7 @@ def test_a_trial_names_what_is_extra_and_not_the_290_that_are_missing(tmp_path: 
     )
 
 
-@pytest.mark.parametrize("shape", [(3, 375, 1242), (1, 375, 1242), (375, 1242, 2), (375,)])
+@pytest.mark.parametrize("shape", [(2, 375, 1242), (1, 375, 1242), (375, 1242, 2), (375,)])
 def test_a_wrong_array_is_shown_with_its_whole_shape(
     tmp_path: Path, shape: tuple[int, ...]
 ) -> None:
@@ -258,23 +259,50 @@ def test_frame_ids_become_the_benchmarks_names_in_the_birds_eye_view(tmp_path: P
     np.testing.assert_array_equal(read_png(written[0]), VIEW)
 
 
+def _said(folder: Path, *names: str) -> None:
+    """Say what planes of scores stand for, as `nimprep predict` does."""
+    document = {
+        "format": "nimprep-predictions",
+        "version": "1.0",
+        "nimprep": "0",
+        "store": "s.zarr",
+        "run": None,
+        "network": "mfnet",
+        "setup": "rgb",
+        "split": "test",
+        "frames": 1,
+        "classes": [{"id": number, "name": name} for number, name in enumerate(names)],
+        "scores": True,
+    }
+    (folder / "predictions.json").write_text(json.dumps(document))
+
+
 @pytest.mark.parametrize("size", [BEV_SHAPE, (HEIGHT, WIDTH)])
-def test_scores_of_not_road_and_road_are_the_roads(tmp_path: Path, size: tuple[int, int]) -> None:
+@pytest.mark.parametrize("within", [".", "scores", "scores/testing"])
+def test_of_scores_of_classes_the_roads_are_taken(
+    tmp_path: Path, size: tuple[int, int], within: str
+) -> None:
     road = noise(3, *size) / np.float32(255)
-    _write(tmp_path / "um_000000.npy", np.stack([1 - road, road]))
-    found = read_confidence(tmp_path / "um_000000.npy")
+    _write(tmp_path / within / "um_000000.npy", np.stack([1 - road, road, road * 0]))
+    _said(tmp_path, "not road", "road", "kerb")
+    found = read_confidence(tmp_path / within / "um_000000.npy")
     np.testing.assert_array_equal(found, noise(3, *size))
 
 
-def test_planes_that_do_not_add_up_are_refused(tmp_path: Path) -> None:
-    _write(tmp_path / "um_000000.npy", np.full((2, *BEV_SHAPE), 0.75, np.float32))
-    with pytest.raises(DecodeError, match=r"add up to 1, found sums off by 0\.5"):
+@pytest.mark.parametrize("names", [(), ("ground", "way"), ("road", "lane"), ("a", "road", "b")])
+def test_planes_of_which_nothing_says_which_is_the_roads_are_refused(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    _write(tmp_path / "um_000000.npy", np.stack([1 - VIEW / 255, VIEW / 255]))
+    if names:
+        _said(tmp_path, *names)
+    with pytest.raises(DecodeError, match=r"found \(2, 800, 400\) of float64; write one plane"):
         read_confidence(tmp_path / "um_000000.npy")
 
 
 def test_what_predict_says_of_its_predictions_is_no_prediction(tmp_path: Path) -> None:
     _write(tmp_path / "pred" / "um_000000.npy", np.stack([1 - VIEW / 255, VIEW / 255]))
-    (tmp_path / "pred" / "predictions.json").write_text("{}")
+    _said(tmp_path / "pred", "not road", "road")
     packed = _pack(tmp_path, "--partial")
     assert packed.exit_code == 0, packed.stderr
     assert "1 predictions" in packed.stdout

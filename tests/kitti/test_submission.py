@@ -201,7 +201,7 @@ BAD_PROBABILITIES = {
     "over one": (np.full(BEV_SHAPE, 1.5), r"in \[0, 1\], found 1\.5 to 1\.5"),
     "negative": (np.full(BEV_SHAPE, -0.1), r"in \[0, 1\]"),
     "integers": (np.zeros(BEV_SHAPE, np.uint8), r"floating.*found \(800, 400\) of uint8"),
-    "channels": (np.zeros((3, 375, 1242)), r"floating.*found \(3, 375, 1242\) of float64"),
+    "channels": (np.zeros((2, 375, 1242)), r"floating.*found \(2, 375, 1242\) of float64"),
 }
 
 

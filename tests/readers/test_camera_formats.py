@@ -434,4 +434,4 @@ def test_the_pages_examples_are_descriptions() -> None:
     for example in examples:
         base = {"format": "nimprep-folder", "version": "1.1", "name": "a", "rgb": "rgb/{id}.png"}
         made = description_from_document({**base, **json.loads(example)}, "the page")
-        assert made.camera or (made.depth and made.depth.camera)
+        assert made.camera or (made.depth and (made.depth.camera or made.depth.to_camera))

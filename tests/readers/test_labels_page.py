@@ -11,7 +11,7 @@ import pytest
 from nimprep.readers.description_file import description_from_document
 
 PAGE = Path(__file__).parents[2] / "docs" / "labels-and-colour.md"
-LABELS, COLORS = (
+LABELS, NAMED, COLORS = (
     block.splitlines() for block in re.findall(r"```json\n(.*?)```", PAGE.read_text("utf-8"), re.S)
 )
 DOCUMENT = {
@@ -24,7 +24,14 @@ DOCUMENT = {
 
 
 def test_there_are_examples() -> None:
-    assert (len(LABELS), len(COLORS)) == (6, 3)
+    assert (len(LABELS), len(NAMED), len(COLORS)) == (6, 1, 3)
+
+
+def test_the_example_of_named_colours_is_a_description() -> None:
+    document = {**DOCUMENT, "rgb": "{scene}/rgb/{id}.png", "label": json.loads(NAMED[0])}
+    label = description_from_document(document, "page").label
+    assert label is not None
+    assert label.named == {"Road": 1, "Sky": 0}
 
 
 @pytest.mark.parametrize("line", LABELS)
