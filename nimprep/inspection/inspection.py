@@ -128,7 +128,8 @@ def _look_at_file(made: Inspection) -> None:
         raise LayoutError(f"{error}; name a file that can be read") from error
     if holding is None:
         _look_at_folder(made, Survey(source.parent, (source.name,)))
-        if made.kind == "images":
+        beside = made.kind == "nothing" and fitting_reader(source.parent, []) is not None
+        if beside or made.kind == "images":
             planes = made.found is not None and made.found.planes
             of = f" ({made.what.rpartition('as ')[2]})" if planes else ""
             made.kind, made.what = "file", f"an image{of}" if planes else "a file that is no image"

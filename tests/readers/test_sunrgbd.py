@@ -208,7 +208,7 @@ def test_two_files_for_one_frame_are_refused(tmp_path: Path) -> None:
     [
         ("depth_bfx", "expected depth files .*unpack SUNRGBD.zip, the folders depth_bfx, there"),
         ("intrinsics.txt", "expected camera files .*unpack SUNRGBD.zip, the files intrinsics.txt"),
-        ("image", "for sunrgbd it lacks .*image.*unpack SUNRGBD.zip, the folders image, there"),
+        ("image", "expected a known layout .*sunrgbd.* nimprep inspect .* says what it is"),
     ],
 )
 def test_a_part_that_is_not_there_is_named(tmp_path: Path, part: str, said: str) -> None:
