@@ -136,9 +136,8 @@ class FolderReader(ReaderBase):
         lacking = {**self._colors.lacking, **of_depth, **self._cameras.lacking}
         lacking |= {**self._scanner.lacking, **self._matched.lacking}
         self._matched = replace(self._matched, lacking=lacking)
-        if official:
-            scenes = {i: self.group(i) for i in self.ids}
-            self._splits = whole_scenes(description, self._splits, scenes)
+        if official and description.split_by == "group" and not self._splits.of_frame:
+            self._splits = whole_scenes(self._splits, {i: self.group(i) for i in self.ids})
         self.info = DatasetInfo(
             name=description.name,
             classes=description.classes if "label" in self._matched.places else (),

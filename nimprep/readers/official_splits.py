@@ -98,16 +98,13 @@ def without_labelled(splits: OfficialSplits, matched: Matched) -> OfficialSplits
     return OfficialSplits(stay, splits.skipped, (*splits.notes[: bool(splits.skipped)], note))
 
 
-def whole_scenes(
-    description: Description, splits: OfficialSplits, group_of: Mapping[str, str]
-) -> OfficialSplits:
+def whole_scenes(splits: OfficialSplits, group_of: Mapping[str, str]) -> OfficialSplits:
     """Return splits that keep a dataset's scenes whole where they are too few to be split.
 
-    Where its usual rule is by scene and nobody chose splits, frames of fewer than three scenes
-    are all in train: their variations show the same places, and would be in train and test.
+    For one whose usual rule is by scene, and whose splits nobody chose. Frames of fewer than three
+    scenes are all in train: their variations show the same places, and would be in train and test.
     """
-    few = len(set(group_of.values())) < LEAST_GROUPS
-    if description.split_by != "group" or splits.of_frame or not few:
+    if len(set(group_of.values())) >= LEAST_GROUPS:
         return splits
     note = (
         f"fewer than {LEAST_GROUPS} scenes, which cannot be split as a whole: all frames are in "
